@@ -14,10 +14,20 @@ from packaging.requirements import Requirement
 # nox runs this file from its own folder, but does not look for modules there.
 sys.path.insert(0, str(Path(__file__).parent))
 
-from noxfile import COMPILED, EXTRAS, PARALLEL, TESTED, group, install, slow, tests
+from noxfile import COMPILED, DOCTESTS, EXAMPLES, EXTRAS, PARALLEL, TESTED, group, install, slow, tests
 
 nox.needs_version = ">=2025.2.9"
-nox.options.sessions = ["fuzz", "simulate", "soak", "newest", "floors", "data", "kinematics"]
+nox.options.sessions = [
+    "fuzz",
+    "simulate",
+    "soak",
+    "newest",
+    "floors",
+    "data",
+    "kinematics",
+    "systems",
+    "free_threaded",
+]
 
 
 @nox.session(python=["3.10", "3.11", "3.12", "3.13", "3.14"])
@@ -40,6 +50,41 @@ def floors(session: nox.Session) -> None:
     # An old release may use deprecated parts of a newer package. That is not a fault of this project.
     ignored = ("-W", "default::DeprecationWarning")
     session.run("pytest", *PARALLEL, *ignored, *(session.posargs or TESTED), env=COMPILED)
+
+
+@nox.session
+def windows(session: nox.Session) -> None:
+    """Run the tests on Windows' CPython under Wine. Run it after changing sockets, waits or clocks. It needs root."""
+    lab = str(Path(session.create_tmp()).resolve() / "wine")
+    session.run("python", ".ci/wine.py", "install", lab)
+    chosen = session.posargs or [*DOCTESTS, "-m", "not slow", *TESTED, *EXAMPLES]
+    plugins = ("-p", "no:cacheprovider", "-p", "pytest_urlink")
+    session.run("python", ".ci/wine.py", "run", lab, "-u", "-m", "pytest", "-q", *plugins, *chosen)
+
+
+@nox.session
+def systems(session: nox.Session) -> None:
+    """Check the types for macOS and for Windows. Run it after using a name that not every system has."""
+    install(session, *group("types"))
+    for system in ("darwin", "win32"):
+        session.run("mypy", "--strict", f"--platform={system}", *(session.posargs or ["src"]))
+
+
+@nox.session(python=["3.13t", "3.14t"])
+def free_threaded(session: nox.Session) -> None:
+    """Run the tests without the global interpreter lock. Run it after changing state that threads share.
+
+    An interpreter that is not installed is skipped. Only packages are installed that have a wheel for such an
+    interpreter, or are pure Python. Tests that need another package are skipped.
+    """
+    required = [each for each in group("tests") if not each.startswith(("hypothesis", "mcap"))]
+    install(session, *required, "hypothesis<6.140", extras="[cli]")
+    # Without this, the import of an extension module that is not prepared for it would enable the lock again.
+    without = {**COMPILED, "PYTHON_GIL": "0"}
+    session.run("python", "-c", "import numpy, sys; assert not sys._is_gil_enabled()", env=without)
+    session.run("pytest", *PARALLEL, *(session.posargs or ["-m", "not slow", "tests"]), env=without)
+    if not session.posargs:
+        session.run("pytest", "-m", "slow", "tests/test_thread_switches.py", env=without)
 
 
 #: Packages to build control_msgs, which is not on PyPI. ament_package needs an empy before 4.

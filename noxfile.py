@@ -43,11 +43,14 @@ NOT_RUN = (
 LIGHT = ("accept", "compat", "view")
 #: Folders with tests.
 TESTED = ("tests", *(f"packages/{each}" for each in LIGHT))
+#: Options of pytest for the examples in pages and docstrings, and the places of these examples.
+DOCTESTS = ("--doctest-modules", "--doctest-glob=*.md", "--ignore=docs/conf.py")
+EXAMPLES = ("src", "docs", "README.md")
 
 
-def install(session: nox.Session, *requirements: str) -> None:
+def install(session: nox.Session, *requirements: str, extras: str = EXTRAS) -> None:
     """Install the library and the `LIGHT` packages in editable mode, and other requirements."""
-    session.install("-e", f".{EXTRAS}", *requirements)
+    session.install("-e", f".{extras}", *requirements)
     # Without their requirements: the library is already installed, and tests that need viser are skipped without it.
     session.install("--no-deps", *(word for each in LIGHT for word in ("-e", f"./packages/{each}")))
 
@@ -72,13 +75,11 @@ def tests(session: nox.Session) -> None:
     # A single pytest run, so that its last line is the result of all tests.
     everything = [
         *PARALLEL,
+        "--durations=10",
+        *DOCTESTS,
         "-m",
         "not slow",
-        "--durations=10",
-        "--doctest-modules",
-        "--doctest-glob=*.md",
-        "--ignore=docs/conf.py",
-        *present(*TESTED, "src", "docs", "README.md"),
+        *present(*TESTED, *EXAMPLES),
     ]
     session.run("pytest", *(session.posargs or everything), env=COMPILED)
     if not session.posargs:

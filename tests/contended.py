@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Any, Literal
 
-__all__ = ["Contended", "Meeting", "beside"]
+import pytest
+
+__all__ = ["Contended", "Meeting", "beside", "contended_lock"]
 
 
 def beside(call: Callable[[], object], seconds: float = 0.2) -> threading.Thread:
@@ -22,7 +25,7 @@ class Contended:
 
     Args:
         lock: Lock that is wrapped.
-        before: Action of another thread under the lock, before the first acquisition.
+        before: Action of another thread under the lock, before the next acquisition.
         after: Action of another thread after the first release.
     """
 
@@ -30,10 +33,10 @@ class Contended:
         self, lock: Any, before: Callable[[], object] | None = None, after: Callable[[], object] | None = None
     ) -> None:
         self._lock = lock
-        self._before, self._after = before, after
+        self.before, self._after = before, after
 
     def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
-        before, self._before = self._before, None
+        before, self.before = self.before, None
         if before is not None:
             before()
         return bool(self._lock.acquire(blocking, timeout))
@@ -56,6 +59,19 @@ class Contended:
     def _is_owned(self) -> bool:
         owned: Callable[[], bool] = getattr(self._lock, "_is_owned", self.locked)
         return owned()
+
+
+@contextlib.contextmanager
+def contended_lock(
+    kind: Literal["Lock", "RLock"] = "RLock", before: Callable[[], object] | None = None
+) -> Iterator[Contended]:
+    """Make the first lock that is created within the block a `Contended`, and provide it."""
+    make = getattr(threading, kind)
+    lock = Contended(make(), before)
+    first = [lock]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(threading, kind, lambda: first.pop() if first else make())
+        yield lock
 
 
 class Meeting(tuple[Any, ...]):

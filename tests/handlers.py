@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import faulthandler
 import io
+import os
 import sys
 import tempfile
 import threading
@@ -21,9 +22,9 @@ import linkcore
 
 #: Folder that the packages are imported from: src, or the folder of the installed packages.
 SRC = str(Path(linkcore.__file__).parents[1])
-_OURS = tuple(f"{SRC}/{package}/" for package in ("linkcore", "urlink", "rhdlink"))
+_OURS = tuple(os.path.join(SRC, package, "") for package in ("linkcore", "urlink", "rhdlink"))
 #: Modules that run in the process of a simulated robot, and never in the thread of a user.
-_ELSEWHERE = tuple(f"{SRC}/{part}/" for part in ("linkcore/simulated", "urlink/simulator"))
+_ELSEWHERE = tuple(os.path.join(SRC, *part, "") for part in (("linkcore", "simulated"), ("urlink", "simulator")))
 #: Time limit for one round, in seconds; a round takes milliseconds.
 _DEADLINE = 20.0
 

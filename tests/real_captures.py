@@ -20,6 +20,7 @@ CONTENTS = {
     "rtde": "connections of real RTDE clients",
     "rhd": "connections of the original RHD",
     "mrc": "drives of the original MRC",
+    "mqtt": "the traffic of a real mobile robot",
 }
 
 _needed: list[str] = []

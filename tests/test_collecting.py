@@ -25,7 +25,7 @@ def one():
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
-def test_in_turn_starts_each_process_with_its_own_share(count: int) -> None:
+def test_in_turn_gives_each_process_different_first_modules(count: int) -> None:
     modules = [f"module{number}" for number in range(11)]
     orders = [in_turn(modules, number, count) for number in range(count)]
     assert all(sorted(order) == sorted(modules) for order in orders)

@@ -136,7 +136,7 @@ def test_code_samples_of_docstrings_fit() -> None:
     assert not found, "\n".join(found)
 
 
-def test_each_kind_of_fault_is_reported() -> None:
+def test_each_kind_of_layout_fault_is_reported() -> None:
     page = "\n".join(
         [
             "```python",

@@ -74,11 +74,11 @@ def signatures(extensions: None) -> Any:
         ("time.time", None),
     ],
 )
-def test_page_name_leads_to_its_description(names: Any, text: str, name: str | None) -> None:
+def test_name_in_page_resolves_to_its_public_name(names: Any, text: str, name: str | None) -> None:
     assert names.public(text, False) == name
 
 
-def test_page_of_rhdlink_prefers_its_names(names: Any) -> None:
+def test_page_of_rhdlink_prefers_names_of_rhdlink(names: Any) -> None:
     assert names.public("connect", True) == "rhdlink.connect"
     assert names.public("robot.sync", True) == "rhdlink.Variables.sync"
 
@@ -102,7 +102,7 @@ def test_types_of_arguments_are_short(signatures: Any) -> None:
     assert signatures.types_of(poses.compose)["return"].__name__ == "NDArray"
 
 
-def test_page_describes_each_short_type(signatures: Any) -> None:
+def test_api_page_describes_each_type_of_the_signatures(signatures: Any) -> None:
     page = (DOCS / "api.md").read_text(encoding="utf-8")
     heading, _, rest = page.partition("## Types in signatures\n")[2].partition("```{toctree}")
     assert rest

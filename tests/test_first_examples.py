@@ -82,7 +82,7 @@ def test_first_example_connects_in_a_with_block(page: str) -> None:
 
 
 @pytest.mark.parametrize("page", sorted(_EXCEPTIONS))
-def test_exception_is_still_needed(page: str) -> None:
+def test_each_listed_exception_is_still_needed(page: str) -> None:
     assert _unclosed((_ROOT / page).read_text(encoding="utf-8")), f"{page} uses `with`; remove it from _EXCEPTIONS"
 
 
@@ -97,7 +97,7 @@ def test_exception_is_still_needed(page: str) -> None:
         ("controller = Controller('UR5e').start()", []),
     ],
 )
-def test_unclosed_names_connections_outside_with(example: str, unclosed: list[str]) -> None:
+def test_unclosed_returns_connections_outside_a_with_block(example: str, unclosed: list[str]) -> None:
     assert _unclosed(f"# Page\n\n```python\n{example}\n```\n") == unclosed
 
 

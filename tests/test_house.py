@@ -20,6 +20,7 @@ SOCKETS = {
     "linkcore.net.loop",
     "linkcore.net.polled",
     "linkcore.net.awaited",
+    "linkcore.net.watching",
     # These modules replace the sockets of the standard library in simulated time.
     "linkcore.simulated.sockets",
     "linkcore.simulated.takeover",
@@ -29,6 +30,7 @@ SOCKETS = {
 AWAITED = {
     "linkcore.event_loop",
     "linkcore.net.awaited",
+    "linkcore.net.watching",
     "linkcore.aio.async_stream",
     "linkcore.aio.loop_connection",
     "linkcore.aio.packets",
@@ -39,7 +41,9 @@ AWAITED = {
 
 #: The only modules that may start threads.
 THREADS = {
+    "linkcore.net.watching",  # waits for the sockets of an event loop that cannot, such as the default loop of Windows
     "linkcore.net.undo",  # undoes abandoned commands, as long as any are pending
+    "rhdlink.mqtt.session",  # keeps the robot's master alive, from the first command until the end of the session
     "linkcore.threads",  # one for the callbacks of each robot, one for each host or server with its own thread
     "linkcore.streaming.connection",  # the reader of each stream
     "linkcore.streaming.subscription",  # one for each callback that is not inline, or has a deadline

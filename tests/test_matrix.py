@@ -59,6 +59,6 @@ def test_other_profiles_run_the_whole_table(
     assert run(tried) == {"test_some": 6, "test_one_and_some": 5, "test_one": 2, "test_all": 6}
 
 
-def test_row_that_is_named_runs(tried: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_explicitly_selected_row_runs(tried: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("HYPOTHESIS_PROFILE", raising=False)
     assert [run(tried, f"test_rows.py::test_some[{row}]") for row in range(3)] == [{"test_some": 1}] * 3

@@ -52,12 +52,12 @@ def test_cells_print_the_output_of_their_page(notebooks: Any, name: str) -> None
 
 @pytest.mark.slow
 @pytest.mark.real_time
-def test_cells_with_simulated_time_print_the_output_of_their_page(notebooks: Any) -> None:
+def test_simulated_time_cells_print_the_output_of_their_page(notebooks: Any) -> None:
     check_outputs(notebooks, "test-your-cell")
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_notebook_is_the_one_of_its_page(notebooks: Any, name: str) -> None:
+def test_notebook_matches_its_page(notebooks: Any, name: str) -> None:
     path = DOCS / "notebooks" / f"{name}.ipynb"
     text = path.read_text(encoding="utf-8")
     assert text == notebooks.notebook(page(name)), "run `python docs/make_notebooks.py`"

@@ -145,7 +145,7 @@ def test_package_imports_public_names_only(project: Path) -> None:
 
 
 @pytest.mark.parametrize("project", PACKAGES, ids=lambda path: path.parent.name)
-def test_package_uses_private_names_of_its_own_only(project: Path) -> None:
+def test_package_uses_no_private_names_of_other_packages(project: Path) -> None:
     """An attribute with an underscore must belong to `self`, or be defined by the same file."""
     for path in (project.parent / "src").rglob("*.py"):
         tree = ast.parse(path.read_text(encoding="utf-8"))

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
 
+from tests import platforms
 from tests.real_time import SHARE, is_marked
 
 pytest_plugins = ["pytester"]
@@ -33,9 +33,10 @@ def test_interop_tests_with_a_controller_are_marked_real_time() -> None:
 USES = {
     "it starts a thread": "threading.Thread(target=print).start()",
     "it binds a socket": "socket.create_server(('127.0.0.1', 0)).close()",
-    "it starts a process": "subprocess.run(['true'])",
-    "it sends a signal": "signal.pthread_kill(threading.get_ident(), 0)",
+    "it starts a process": "subprocess.run([sys.executable, '-c', ''])",
 }
+if not platforms.IS_WINDOWS:
+    USES["it sends a signal"] = "signal.pthread_kill(threading.get_ident(), 0)"
 
 
 @pytest.mark.real_time
@@ -43,7 +44,7 @@ def test_unmarked_test_with_system_calls_fails(pytester: pytest.Pytester) -> Non
     pytester.makeini("[pytest]\nmarkers = real_time")
     test = pytester.mkdir("tests") / "test_uses.py"
     test.write_text(
-        "import pytest, signal, socket, subprocess, threading\n"
+        "import pytest, signal, socket, subprocess, sys, threading\n"
         + "".join(
             f"{mark}\ndef test_{number}_{len(mark)}():\n    {use}\n"
             for number, use in enumerate(USES.values())
@@ -55,7 +56,7 @@ def test_unmarked_test_with_system_calls_fails(pytester: pytest.Pytester) -> Non
     result.stdout.fnmatch_lines_random([f"*{said}: mark it simulated_time*" for said in USES])
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="time is simulated on Linux alone")
+@platforms.needs_linux
 def test_page_examples_run_in_simulated_time(pytester: pytest.Pytester) -> None:
     waits = ">>> import time\n>>> begun = time.monotonic()\n>>> time.sleep(3600)\n"
     waits += ">>> time.monotonic() - begun > 3599\nTrue\n"

@@ -48,7 +48,7 @@ def test_recipe_makes_its_check_pass(recipe: Recipe, tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.real_time
 @every_recipe
-def test_recipe_fails_without_any_one_of_its_steps(recipe: Recipe, tmp_path: Path) -> None:
+def test_recipe_fails_if_any_step_is_missing(recipe: Recipe, tmp_path: Path) -> None:
     """Without any one of the edits in `src`, the check fails."""
     copy_repository(tmp_path)
     kept = {edit.path: (tmp_path / edit.path) for edit in recipe.edits if edit.path.startswith("src/")}

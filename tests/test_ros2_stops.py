@@ -1,4 +1,4 @@
-"""The ROS 2 adapter with mocks of ROS 2: `halt` stops every motion of the arm, including requested ones."""
+"""The ROS 2 adapter with mocks of ROS 2: `halt` stops every motion of the arm, and states name the right frames."""
 
 from __future__ import annotations
 
@@ -66,6 +66,14 @@ def ticking() -> urlink.Expiry:
     return expiry
 
 
+def test_wrench_is_published_in_the_base_frame(adapter: Any, robot: urlink.Robot) -> None:
+    state = robot.realtime.wait()
+    adapter.states.StatePublishers(MagicMock(), ["elbow_joint"], "left_base").publish(state)
+    message = adapter.states.WrenchStamped.return_value
+    assert message.header.frame_id == "left_base"
+    assert [message.wrench.force.x, message.wrench.force.y, message.wrench.force.z] == state.tcp_force[:3].tolist()
+
+
 def test_halt_stops_a_script(adapter: Any, robot: urlink.Robot) -> None:
     goal = robot.realtime.wait().q_target + _WAY
     topics = adapter.streams.CommandTopics(MagicMock(), robot, ticking())
@@ -77,7 +85,7 @@ def test_halt_stops_a_script(adapter: Any, robot: urlink.Robot) -> None:
 
 
 @pytest.mark.parametrize("stop", ["halt", "protective stop"])
-def test_goal_that_waits_for_its_time_ends_with_a_stop(adapter: Any, robot: urlink.Robot, stop: str) -> None:
+def test_goal_waiting_for_its_start_time_is_cancelled_by_stop(adapter: Any, robot: urlink.Robot, stop: str) -> None:
     monotonic = time.monotonic
     clock = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=int(monotonic() * 1e9), to_msg=lambda: None))
     node = MagicMock(get_clock=lambda: clock)

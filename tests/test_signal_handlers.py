@@ -23,11 +23,12 @@ from linkcore.net.undo import PendingUndos
 from linkcore.recording.file import Kind, RecordingFile, RecordingWriter
 from linkcore.streaming.packet_queue import drop_oldest
 from linkcore.streaming.scheduling import urgent
+from linkcore.streaming.stream import Stream
 from linkcore.threads import CallbackThread, ReentrantEvent
 from rhdlink import Int32, Read, Variables
 from rhdlink.host.plugins.turtle import Turtle
 from rhdlink.host.world import World
-from tests.fakes.link import ScriptedTransport, counts, scripted
+from tests.fakes.link import Count, ScriptedTransport, connection_over, counts
 from tests.fakes.rhd import Robot, ScriptedServer, endless
 from tests.fakes.server import OneAfterAnother
 from tests.handlers import Interruption, at_every_line
@@ -112,7 +113,7 @@ def _made(statement: ast.stmt, imported: dict[str, str]) -> Iterator[int]:
                 yield node.lineno
 
 
-def test_locks_that_handlers_can_meet_are_reentrant() -> None:
+def test_locks_used_by_signal_handlers_are_reentrant() -> None:
     found = locks()
     missing = [f"{place} ({key})" for key in sorted(found.keys() - REASONS) for place in found[key]]
     assert not missing, (
@@ -128,7 +129,7 @@ def test_locks_that_handlers_can_meet_are_reentrant() -> None:
 pytestmark = pytest.mark.real_time
 
 
-def test_urgent_can_be_entered_by_a_handler() -> None:
+def test_urgent_can_be_entered_by_a_signal_handler() -> None:
     def enter() -> None:
         with urgent():
             pass
@@ -142,7 +143,7 @@ def test_urgent_can_be_entered_by_a_handler() -> None:
 
 
 @pytest.mark.parametrize("handler", ["set", "clear and set", "wait"])
-def test_event_can_be_used_by_a_handler(handler: str) -> None:
+def test_event_can_be_used_by_a_signal_handler(handler: str) -> None:
     def scenario(interruption: Interruption) -> None:
         event = ReentrantEvent()
 
@@ -166,12 +167,13 @@ def test_event_can_be_used_by_a_handler(handler: str) -> None:
 
 @pytest.mark.parametrize("inline", [False, True])
 @pytest.mark.parametrize("handler", ["subscribe", "unsubscribe", "close"])
-def test_subscribing_can_be_interrupted(handler: str, inline: bool) -> None:
+def test_subscribing_can_be_interrupted_by_a_signal(handler: str, inline: bool) -> None:
     """The subscription of the handler gets packets, and so does the interrupted subscription."""
 
     def scenario(interruption: Interruption) -> None:
         transport = ScriptedTransport()
-        stream = scripted(transport)
+        connection = connection_over(transport)
+        stream = Stream(connection, Count)
         got: dict[str, list[Any]] = {"other": [], "interrupted": [], "handler": []}
         other = stream.subscribe(got["other"].append)
 
@@ -198,13 +200,13 @@ def test_subscribing_can_be_interrupted(handler: str, inline: bool) -> None:
             if interruption.where is None or handler == "subscribe":
                 expected |= {"other"}
             until(lambda: {name for name, packets in got.items() if packets} == expected, 5.0)
-            assert len(stream._connection.fan_out.deliveries) == len(expected)
+            assert len(connection.fan_out.deliveries) == len(expected)
 
     assert at_every_line(scenario) > 50
 
 
 @pytest.mark.parametrize("handler", ["cancel", "finish", "callback"])
-def test_handle_wait_can_be_interrupted(handler: str) -> None:
+def test_handle_wait_can_be_interrupted_by_a_signal(handler: str) -> None:
     callbacks = CallbackThread("callbacks of a test")
 
     def scenario(interruption: Interruption) -> None:
@@ -234,7 +236,7 @@ def test_handle_wait_can_be_interrupted(handler: str) -> None:
         callbacks.close(5.0)
 
 
-def test_handle_cancel_can_be_interrupted_by_another() -> None:
+def test_handle_cancel_can_be_interrupted_by_another_cancel() -> None:
     callbacks = CallbackThread("callbacks of a test")
 
     def scenario(interruption: Interruption) -> None:
@@ -262,7 +264,7 @@ def test_handle_cancel_can_be_interrupted_by_another() -> None:
         callbacks.close(5.0)
 
 
-def test_pending_undos_close_can_be_interrupted() -> None:
+def test_pending_undos_close_can_be_interrupted_by_a_signal() -> None:
     numbers = itertools.count()
 
     def scenario(interruption: Interruption) -> None:
@@ -275,7 +277,7 @@ def test_pending_undos_close_can_be_interrupted() -> None:
     assert at_every_line(scenario) > 5
 
 
-def test_recording_can_be_closed_by_a_handler(tmp_path: Path) -> None:
+def test_recording_can_be_closed_by_a_signal_handler(tmp_path: Path) -> None:
     numbers = itertools.count()
 
     def scenario(interruption: Interruption) -> None:
@@ -309,7 +311,7 @@ class _Dashboard(OneAfterAnother):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("handler", ["stop", "close"])
-def test_dashboard_can_be_used_by_a_handler(handler: str) -> None:
+def test_dashboard_can_be_used_by_a_signal_handler(handler: str) -> None:
     server = _Dashboard()
     try:
 
@@ -339,7 +341,7 @@ class _Smr(Variables):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("handler", ["sync", "close", "subscribe"])
-def test_rhd_sync_can_be_interrupted(handler: str) -> None:
+def test_rhd_sync_can_be_interrupted_by_a_signal(handler: str) -> None:
     def scenario(interruption: Interruption) -> None:
         with contextlib.ExitStack() as ending:
             if handler == "close":
@@ -375,7 +377,7 @@ def test_rhd_sync_can_be_interrupted(handler: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("handler", ["stop", "cancel", "close"])
-def test_drive_can_be_stopped_by_a_handler(handler: str) -> None:
+def test_drive_can_be_stopped_by_a_signal_handler(handler: str) -> None:
     """If the handler interrupts the call that starts a motion, the motion does not start after the stop."""
 
     def scenario(interruption: Interruption) -> None:
@@ -413,7 +415,7 @@ def _set_output(robot: urlink.Robot) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("command", ["move", "output", "jog"])
 @pytest.mark.parametrize("handler", [_stop, _cancel, _set_output, urlink.Robot.close])
-def test_commands_can_be_interrupted(command: str, handler: Callable[[urlink.Robot], object]) -> None:
+def test_commands_can_be_interrupted_by_a_signal(command: str, handler: Callable[[urlink.Robot], object]) -> None:
     """The handler runs in simulated time, at some of the thousands of lines of a command."""
 
     def scenario(interruption: Interruption) -> None:

@@ -15,7 +15,7 @@ def begun() -> float:
     return time.monotonic()
 
 
-def test_fixtures_and_test_use_the_same_clock(begun: float) -> None:
+def test_fixtures_and_test_use_the_same_simulated_clock(begun: float) -> None:
     waited = threading.Event()
     timer = threading.Timer(7200.0, waited.set)
     timer.start()

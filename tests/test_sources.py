@@ -47,7 +47,7 @@ def test_code_does_not_cite_sources_outside_the_repository() -> None:
     assert [str(module) for module in MODULES if re.search(outside, module.read_text(encoding="utf-8"))] == []
 
 
-def test_leads_somewhere_rejects_a_missing_section() -> None:
+def test_leads_somewhere_rejects_missing_page_or_section() -> None:
     assert leads_somewhere("primary.md", ", section Robot state")
     assert not leads_somewhere("primary.md", ", section Robot stare")
     assert not leads_somewhere("primery.md", "")
@@ -65,7 +65,7 @@ def test_tests_cited_by_the_pages_exist() -> None:
     assert missing == []
 
 
-def test_text_of_a_box_is_not_in_its_class_option() -> None:
+def test_class_option_of_admonitions_contains_only_class_names() -> None:
     """A text after `:class: important` would be read as names of classes, and never be shown."""
     pages = [page.read_text(encoding="utf-8") for page in (ROOT / "docs").rglob("*.md")]
     classes = [each for page in pages for each in re.findall(r"^:class: (.*)$", page, re.MULTILINE)]

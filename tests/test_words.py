@@ -121,7 +121,7 @@ def test_connect_takes_an_address_and_host_needs_a_port() -> None:
 
 
 @pytest.mark.parametrize("place", PLACES)
-def test_is_and_has_names_are_properties(place: str) -> None:
+def test_names_with_is_or_has_are_properties(place: str) -> None:
     """Names starting with `is_` or `has_` are properties; only `Dashboard` asks the controller with methods."""
     module = importlib.import_module(place)
     public = [getattr(module, name) for name in vars(module)["__all__"] if name != "Dashboard"]

@@ -20,9 +20,6 @@ from collections.abc import Generator
 
 import pytest
 
-#: Time for threads that still run after all tests, in seconds; the interpreter waits for them before it exits.
-EXIT_SECONDS = 5.0
-
 
 class Watchdog:
     """Exits the process unless it is cancelled in time."""

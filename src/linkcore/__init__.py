@@ -1,9 +1,9 @@
-"""Streams, connections, recordings and handles, which urlink and rhdlink share.
+"""Common base of urlink and rhdlink: streams, connections, recordings and handles.
 
-Importing it warns if another distribution with a package `urlink` is installed. Every package of this project imports
-linkcore first. The project called urlink on PyPI shortens URLs. It installs a package `urlink` too, so only one of the
-two can be imported: the one that was installed last, or the one that comes first on the path. Python reports nothing
-about that.
+Importing linkcore warns if another distribution with a package `urlink` is installed. Every package of this project
+imports linkcore first. The project called urlink on PyPI shortens URLs. It also installs a package `urlink`, so only
+one of the two packages can be imported: the package that was installed last, or the package that comes first on the
+path. Python itself does not report this conflict.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ _METADATA = (".dist-info", ".egg-info")
 
 
 def _warn_of_other() -> None:
-    """Warn if another distribution that is installed has a package `urlink`.
+    """Warn if another installed distribution has a package `urlink`.
 
-    It lists the folders of the path instead of using `importlib.metadata`, which takes longer to import than urlink.
+    This function lists the folders of the path instead of using `importlib.metadata`, because importing that module
+    takes longer than importing urlink.
     """
     for folder in sys.path:
         try:
@@ -41,7 +42,7 @@ def _warn_of_other() -> None:
 def _has_the_package(metadata: str) -> bool:
     """Whether a distribution has a package `urlink`.
 
-    A distribution that does not list its files might have it.
+    The result is also True for a distribution that does not list its files, because it might have the package.
     """
     try:
         with open(os.path.join(metadata, "RECORD"), encoding="utf-8") as files:
@@ -57,12 +58,12 @@ def _warn(version: str) -> None:
         f"Both have a package 'urlink', and 'import urlink' finds {found}. To use {NAME}, run: "
         f"pip uninstall -y {_OTHER} && pip install --force-reinstall --no-deps {NAME}",
         RuntimeWarning,
-        stacklevel=3,  # the import of linkcore
+        stacklevel=3,  # the warning points to the line that imports linkcore
     )
 
 
 def _is_shadowed() -> bool:
-    """Whether `import urlink` finds a package that is not ours."""
+    """Whether `import urlink` finds the package of another project."""
     from importlib.util import find_spec
 
     try:

@@ -1,4 +1,4 @@
-"""Argument checks that many calls share; their errors name the given value and the expected one."""
+"""Checks of arguments, for many functions. The errors contain the given value and the expected values."""
 
 from __future__ import annotations
 
@@ -17,9 +17,11 @@ _WAIT = 60.0
 #: Larger than every quantity of a robot, in any unit.
 _LARGEST = 1e9
 _DEGREES = 180.0 / math.pi
-#: A value that exceeds its limits by less than this factor is assumed to be in the right unit.
+#: Factor for the guess of a wrong unit: a value that exceeds its limits by a smaller factor is assumed to be in the
+#: right unit.
 _FAR = 1.25
-#: Expected unit -> the unit in which a value out of range might have been given, and its number per expected unit.
+#: Expected unit -> another unit that the caller might have used, and its number per expected unit, such as 1000 mm in 1
+#: m.
 _OTHER_UNITS = {
     "m": ("mm", 1e3),
     "m/s": ("mm/s", 1e3),
@@ -85,8 +87,9 @@ def check_number(
         limit_of: Name of the object that has these limits, used in the error; empty if they apply everywhere.
 
     Raises:
-        BadValue: If `value` is not a number, or is out of range. The message has the value, the limits and the unit.
-            If the value would be within the limits in another unit, the message asks about this unit.
+        BadValue: If `value` is not a number, or is out of range. The message has the value, the limits and the unit. If
+            the value would be within the limits when read in another unit, the message asks whether this unit was
+            meant.
     """
     try:
         # Numpy has its own boolean type.
@@ -107,10 +110,10 @@ def check_number(
 
 
 def other_unit(value: float, unit: str, least: float, most: float) -> str:
-    """Return the question whether a value out of range is in another unit.
+    """Return a question for the end of an error message: was the value given in another unit?
 
-    Return an empty text if that is unlikely. The question asks about millimetres, degrees and so on, and goes to the
-    end of an error message.
+    The question names millimetres, degrees or another unit in which the value would be within its limits. If there is
+    no such unit, return an empty string.
 
     >>> other_unit(50.0, "m/s", 0.001, 5.0)
     ' (in mm/s?)'
@@ -124,7 +127,7 @@ def other_unit(value: float, unit: str, least: float, most: float) -> str:
 
 
 def check_whole(value: Any, name: str, least: int, most: int) -> int:
-    """Return `value`, an integer of Python or of numpy, as a whole number from `least` to `most`.
+    """Return `value`, a Python or numpy integer, as a whole number from `least` to `most`.
 
     Raises:
         BadValue: If `value` is not a whole number, or is out of range.
@@ -151,10 +154,10 @@ def check_choice(value: Any, name: str, choices: Sequence[Any]) -> None:
 
 
 def check_fields(fields: Sequence[Any]) -> None:
-    """Check the names of fields of a call that takes each name as a separate argument.
+    """Check the field names that a caller passed as separate arguments.
 
     Raises:
-        BadValue: If an argument is not a string, but a list of names, for example.
+        BadValue: If an argument is not a string, for example if it is a list of names.
     """
     for field in fields:
         if not isinstance(field, str):
@@ -176,7 +179,7 @@ def element_of(name: str) -> tuple[str, int] | None:
 
 
 def check_callable(value: Any, name: str) -> None:
-    """Raise `BadValue` unless `value` can be called."""
+    """Raise `BadValue` unless `value` is callable."""
     if not callable(value):
         raise BadValue(f"{name}={value!r}; expected a function or something else that can be called")
 
@@ -184,7 +187,7 @@ def check_callable(value: Any, name: str) -> None:
 class Default(float):
     """Default value of an argument that another argument overrides; see `check_overridden`.
 
-    It is the number itself, so signatures show it, and it distinguishes an omitted argument from a given one.
+    The object is a float, so signatures show the number. Its class shows that the caller has omitted the argument.
     """
 
     __slots__ = ()
@@ -197,7 +200,7 @@ def check_overridden(reason: str, **given: Any) -> None:
 
     Args:
         reason: Why the arguments would be ignored.
-        given: Arguments by name. A `Default` and None are arguments that were omitted.
+        given: Arguments by name. A `Default` or None means that the caller has omitted the argument.
 
     Raises:
         BadValue: If any other value was given.

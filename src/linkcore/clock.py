@@ -1,17 +1,17 @@
-"""The clock of the library, functions that wait, time stamps of arrived bytes, and the expiry of commands.
+"""Clock of the library, functions that wait, time stamps of received bytes, and the expiry of commands.
 
-All ages, rates and deadlines use `now`, and everything that waits for a thread uses `wait` or one of its forms below.
-Both count the time for which this computer was suspended. `time.monotonic` does not count it on Linux and macOS, so a
-state from before a suspend would be considered fresh, and a timeout would continue where it was.
+All ages, rates and deadlines use `now`. Code that waits for a thread uses `wait`, or one of the functions below that
+call it. Both count the time for which this computer was suspended. `time.monotonic` does not count it on Linux and
+macOS, so a state from before a suspend would be considered fresh, and a timeout would ignore the time of the suspend.
 
-`now` looks up `read` in each call. So it reads the simulated clock while time is simulated (`linkcore.simulated`), even
-if `now` is kept as a default value.
+`now` looks up `read` in each call. So `now` reads the simulated clock while time is simulated (`linkcore.simulated`),
+even if a program has stored `now` as a default value.
 
 `Expiry` is for a server that offers a robot in a middleware. If a process is suspended or gets no processor time, its
-commands stay in the buffers of the middleware. They are delivered when the process resumes, and their client has
-abandoned them by then. The middleware does not report the age of a command. But this process can detect an interruption
-without another clock, because it records a tick ten times a second. If a tick is late, commands that arrive shortly
-after the tick might have been sent before it.
+commands stay in the buffers of the middleware. The middleware delivers these commands when the process resumes,
+although the client has abandoned them in the meantime. The middleware does not report the age of a command. But this
+process can detect an interruption without another clock, because it records a tick ten times a second. If a tick is
+late, commands that arrive shortly after the tick might have been sent before it.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ import queue
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future
 from concurrent.futures import TimeoutError as FutureTimeout
-from functools import partial
+from functools import cache, partial
 from typing import NamedTuple, TypeVar, cast
 
 from .errors import LinkTimeout
@@ -37,6 +37,8 @@ T = TypeVar("T")
 # -- the clock -------------------------------------------------------------------------------------
 
 if sys.platform == "win32":
+    import ctypes
+
     # Before CPython 3.13, `time.monotonic` has steps of 15.6 ms on Windows. Both clocks include the time of a suspend.
     read: Callable[[], float] = time.perf_counter
 
@@ -45,17 +47,20 @@ if sys.platform == "win32":
 else:
 
     def _which() -> int:
-        """Return the clock that includes a suspend: CLOCK_BOOTTIME on Linux, CLOCK_MONOTONIC on macOS and the BSDs."""
+        """Return the clock that includes a suspend."""
         boot_time: int | None = getattr(time, "CLOCK_BOOTTIME", None)
         if boot_time is not None:
             with contextlib.suppress(OSError):  # a sandbox might not provide this clock
                 time.clock_gettime(boot_time)
                 return boot_time
-        return time.CLOCK_MONOTONIC
+        # On macOS, both clocks below include a suspend (clock_gettime(3)), but CLOCK_MONOTONIC has steps of 1 us and
+        # follows the adjustments of the wall clock. On Linux, CLOCK_MONOTONIC_RAW does not include a suspend.
+        return time.CLOCK_MONOTONIC_RAW if sys.platform == "darwin" else time.CLOCK_MONOTONIC
 
     _CLOCK = _which()
-    #: The same time as `now`, but not a Python function, so a call takes about 370 instructions fewer. Use it only for
-    #: work that is done for each packet. Call it as `clock.read()`, because simulated time replaces it in this module.
+    #: Function that returns the same time as `now`. Because it is not a Python function, a call takes about 370
+    #: instructions fewer. Use it only for work that is done for each packet. Call it as `clock.read()`, because
+    #: simulated time replaces this name in this module.
     read = partial(time.clock_gettime, _CLOCK)
     #: Smallest step of `now`, in seconds.
     RESOLUTION = time.clock_getres(_CLOCK)
@@ -67,8 +72,34 @@ def now() -> float:
 
 
 #: A faster clock, in seconds, to measure how long a call of this process took. Do not use it for an age, a rate or a
-#: deadline, because it might not include a suspend. Call it as `clock.ticks()`, because simulated time replaces it.
+#: deadline, because it might not include a suspend. Call it as `clock.ticks()`, because simulated time replaces this
+#: name in this module.
 ticks = time.perf_counter
+
+
+@contextlib.contextmanager
+def fine_timer() -> Iterator[None]:
+    """Let waits in the block end within about 1 ms on Windows, whose timer ticks every 15.6 ms by default.
+
+    Without this function, only sleeps are exact (since CPython 3.11). On other systems, the function does nothing.
+    """
+    if sys.platform == "win32":
+        multimedia = _multimedia()
+        multimedia.timeBeginPeriod(1)
+        try:
+            yield
+        finally:
+            multimedia.timeEndPeriod(1)
+    else:
+        yield
+
+
+if sys.platform == "win32":
+
+    @cache
+    def _multimedia() -> ctypes.WinDLL:
+        """Load the library of the timer. It is loaded once, because a `WinDLL` is part of a reference cycle."""
+        return ctypes.WinDLL("winmm")
 
 
 def left(until: float) -> float:
@@ -78,7 +109,7 @@ def left(until: float) -> float:
 
 # -- waiting ---------------------------------------------------------------------------------------
 
-#: Whether Ctrl-C cannot interrupt a wait for a lock. This is so on Windows before CPython 3.14.
+#: Whether Ctrl-C cannot interrupt a wait for a lock. This is true on Windows before CPython 3.14.
 _IS_DEAF = sys.platform == "win32" and sys.version_info < (3, 14)
 
 #: Longest wait of one system call, in s. On Linux and macOS such a call does not count the time of a suspend. So a
@@ -88,19 +119,21 @@ _SLICE = 0.1 if _IS_DEAF else 1.0
 #: Longest wait of one system call in a wait without a limit; None if the system call has no limit either.
 ENDLESS = _SLICE if _IS_DEAF else None
 
-#: Interval in s at which `wait` checks whether its pending call was abandoned, because nothing can wake this wait.
+#: Interval in s at which `wait` checks whether its pending call was abandoned. The check is needed because nothing can
+#: wake a waiting thread in this case.
 _LOOK = 0.05
 
 
-#: Time in s that a thread has to begin. After it, `join` assumes that a signal interrupted the start of the thread.
+#: Time in s within which a started thread begins. If a thread has not begun by then, `join` assumes that a signal
+#: interrupted its start.
 _BEGINNING = 0.1
 
 
 def slice_of(seconds: float | None) -> float | None:
-    """Return how long one system call should wait, out of `seconds` in total.
+    """Return the maximum wait of one system call, in s, as part of a longer wait of `seconds`.
 
-    Return None if it may wait without a limit. Use it in a loop that reads the clock itself after each system call.
-    Everything else uses `wait`.
+    Return None if the system call may wait without a limit. Call this function only in a loop that reads the clock
+    itself after each system call. All other code calls `wait`.
     """
     if seconds is None or seconds == math.inf:
         return ENDLESS
@@ -117,7 +150,7 @@ def wait(attempt: Callable[[float | None], object], timeout: float | None = None
         timeout: Maximum wait in seconds; None or infinity for no limit.
 
     Raises:
-        Cancelled: If this thread makes a pending call that was abandoned. It is raised within 0.05 s.
+        Cancelled: If this thread is making a pending call that was abandoned. It is raised within 0.05 s.
     """
     if pending_call() is None:
         return _wait(attempt, timeout)
@@ -144,7 +177,7 @@ def sleep(seconds: float) -> None:
     """Sleep for `seconds`; return at once if the number is not positive.
 
     Raises:
-        Cancelled: If this thread makes a pending call that was abandoned.
+        Cancelled: If this thread is making a pending call that was abandoned.
     """
     if pending_call() is not None:
         is_abandoned = threading.Event()
@@ -164,7 +197,7 @@ def get(items: queue.SimpleQueue[T], timeout: float | None = None) -> T:
 
     Raises:
         queue.Empty: If no item arrives within `timeout` seconds.
-        Cancelled: If this thread makes a pending call that was abandoned.
+        Cancelled: If this thread is making a pending call that was abandoned.
     """
     got: list[T] = []
 
@@ -185,7 +218,7 @@ def is_done(future: Future[T], timeout: float | None = None) -> bool:
     Return False after `timeout`.
 
     Raises:
-        Cancelled: If this thread makes a pending call that was abandoned.
+        Cancelled: If this thread is making a pending call that was abandoned.
     """
     if pending_call() is not None and not future.done():
         is_over = threading.Event()
@@ -209,7 +242,7 @@ def join(thread: threading.Thread, timeout: float | None = None) -> bool:
     therefore counts as ended.
 
     Raises:
-        RuntimeError: If it is the current thread.
+        RuntimeError: If `thread` is the current thread.
     """
 
     def attempt(seconds: float | None) -> bool:
@@ -255,9 +288,10 @@ class Stamp(NamedTuple):
         return now() - self.monotonic
 
 
-# -- commands that may be too old ------------------------------------------------------------------
+# -- commands that might be too old ------------------------------------------------------------------
 
-#: Seconds between two ticks above which a command might be too old. On a busy machine a tick may take 1.5 s.
+#: Time in s between two ticks above which a command might be too old. On a busy computer, two ticks can be 1.5 s apart
+#: even without an interruption.
 _HELD_UP = 2.0
 
 
@@ -265,7 +299,8 @@ class Expiry(StrictAttributes):
     """Check that rejects commands that might be too old, because this process was recently interrupted.
 
     Args:
-        settling: Seconds for which commands are rejected after the process resumes; delayed commands arrive by then.
+        settling: Seconds for which commands are rejected after the process resumes. All delayed commands should arrive
+            in this time.
         now: Monotonic clock, in seconds.
     """
 
@@ -279,7 +314,7 @@ class Expiry(StrictAttributes):
         self._is_new = False  # whether an interruption has happened since the last tick
 
     def tick(self) -> bool:
-        """Record that this process runs; return whether it was interrupted since the last tick.
+        """Record that this process is running; return whether it was interrupted since the last tick.
 
         Call it ten times a second.
         """
@@ -289,7 +324,7 @@ class Expiry(StrictAttributes):
             return was_held_up
 
     def check(self) -> None:
-        """Reject a command that may have been sent before this process resumed.
+        """Reject a command that might have been sent before this process resumed.
 
         Raises:
             LinkTimeout: If this process was recently interrupted for more than 2 s. Nothing is done.

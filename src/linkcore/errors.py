@@ -1,6 +1,7 @@
-"""The errors of the library, in one tree.
+"""All error classes of the library.
 
-A `LocalError` is a wrong call, and a `RemoteError` is a failure of the peer or of the connection::
+A `LocalError` reports a wrong call. A `RemoteError` reports a failure of the peer or of the connection. The classes
+form a tree::
 
     LinkError
     ├── LocalError                  you called it wrongly; nothing was sent
@@ -71,7 +72,7 @@ class ConnectFailed(RemoteError, ConnectionError):
 
 
 class ConnectionLost(RemoteError, ConnectionError):
-    """The connection has ended and was not reestablished, or not yet."""
+    """The connection has ended, and has not been made again yet."""
 
 
 class LinkTimeout(RemoteError, TimeoutError):
@@ -123,7 +124,7 @@ def altered(error: PacketError, **arguments: Any) -> PacketError:
 def unraised(error: E) -> E:
     """Return a copy of an error that can be kept: neither the copy nor its causes have a traceback.
 
-    A traceback refers to the frames through which an error was raised. Their variables may refer to the object that
+    A traceback refers to the frames through which an error was raised. Their variables might refer to the object that
     keeps the error. This would be a reference cycle, which only the garbage collector would find.
     """
     copied = copy.copy(error)

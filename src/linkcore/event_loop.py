@@ -1,4 +1,4 @@
-"""Helpers for programs with an asyncio event loop: waiting in the loop, and threads for calls that block."""
+"""Functions and threads for programs with an asyncio event loop: waiting in the loop, and calls that block."""
 
 from __future__ import annotations
 
@@ -99,9 +99,9 @@ async def within(seconds: float | None, future: asyncio.Future[Any]) -> bool:
 
 
 async def finished(ending: asyncio.Future[T]) -> T:
-    """Wait for a future that must not be interrupted.
+    """Wait until a future is done, and return its result, even if the current task is cancelled in the meantime.
 
-    A task that is cancelled meanwhile ends after the future.
+    If the task is cancelled, it ends when the future is done.
     """
     try:
         await asyncio.wait({ending})
@@ -137,12 +137,12 @@ def ended(future: Future[Any], loop: asyncio.AbstractEventLoop) -> asyncio.Futur
 
 
 class _Threads:
-    """Threads that make calls in the order of their submission.
+    """Threads that execute calls in the order in which they were submitted.
 
     Args:
         name: Name of the threads.
-        most: Maximum number of threads; math.inf for no limit.
-        kept: Number of threads that stay when there is nothing to do.
+        most: Maximum number of threads; `math.inf` for no limit.
+        kept: Number of threads that keep running when there is nothing to do.
     """
 
     def __init__(self, name: str, most: float, kept: float) -> None:
@@ -207,7 +207,7 @@ class _Threads:
     def join(self, timeout: float) -> None:
         """Wait until the threads have ended, after `close`."""
         until = clock.now() + timeout
-        for thread in tuple(self._threads):
+        for thread in list(self._threads):
             clock.join(thread, clock.left(until))
 
     def _start(self) -> None:
@@ -237,13 +237,13 @@ class _Threads:
                     future.set_result(call())
                 except BaseException as error:
                     future.set_exception(error)
-            del future, call  # while this thread is idle, it must not keep a robot
+            del future, call  # an idle thread must not keep a robot object alive
 
 
 class Workers:
     """Threads of one robot for its calls, and separate threads for stops, which never wait for a call.
 
-    A thread for calls is started when it is needed, and stays.
+    A thread for calls is started when it is needed, and keeps running.
 
     Args:
         name: Name of the threads.
@@ -266,13 +266,13 @@ class Workers:
         except BaseException:
             self.close()
             raise
-        _open.add(self._stopping)
+        _open[id(self._stopping)] = self._stopping
 
     def submit(self, call: Callable[[], T]) -> Future[T]:
         """Make a call in a thread.
 
         Raises:
-            Closed: If it was closed.
+            Closed: If this object was closed.
             LocalError: If the system has no thread left.
         """
         self.is_used = True
@@ -282,7 +282,7 @@ class Workers:
         """Make a call that stops the robot or closes something, in a separate thread for stops.
 
         Raises:
-            Closed: If it was closed.
+            Closed: If this object was closed.
             LocalError: If the system has no thread left, and no thread for stops exists yet.
         """
         self.is_used = True
@@ -347,7 +347,8 @@ class Workers:
         try:
             self.stop(call)
         except (Closed, LocalError):
-            call()  # the robot is closed, so the call does not have to wait; or the system has no thread left
+            # The robot was closed, so the call does not wait; or the system has no thread left, so call it here.
+            call()
 
     def close(self) -> None:
         """Make no more calls. The threads end after their current calls. Does not wait. Idempotent."""
@@ -363,8 +364,8 @@ def _close(threads: _Threads, stopping: _Threads) -> None:
 #: Maximum time in s for which the end of the process waits for stops that are being sent.
 _AT_EXIT = 2.0
 
-#: Threads for the stops of all robots.
-_open: weakref.WeakSet[_Threads] = weakref.WeakSet()
+#: Threads for the stops of all robots, by their `id`. A WeakSet cannot be copied while another thread changes it.
+_open: weakref.WeakValueDictionary[int, _Threads] = weakref.WeakValueDictionary()
 
 
 def _send_stops() -> None:
@@ -372,7 +373,7 @@ def _send_stops() -> None:
 
     A task might have been cancelled just before the end.
     """
-    threads = tuple(_open)
+    threads = [each for each in (reference() for reference in _open.valuerefs()) if each is not None]
     for each in threads:
         each.close()
     until = clock.now() + _AT_EXIT

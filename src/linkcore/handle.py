@@ -16,19 +16,21 @@ CANCEL     CANCELLED CANCELLED    -         -
 FAIL       FAILED    FAILED       -         -
 ========== ========= ============ ========= ===================================
 
-Each event happens once, even if two connections report it. REPORT is the exception: the last of several is kept. A life
-never returns to an earlier phase, and the first end is final. An event that cannot happen in a phase raises an error.
-After the end, events have no effect. docs/architecture.md shows the table. The phase alone is not the whole state. The
-primary connection reports BEGIN, REPORT and STOP of a program, and its link causes LINK, LOSE and BRAKE. These two
-connections deliver their events in any order.
+The table shows the next phase for each event; the column "after" names an event that must have happened before. A life
+is the sequence of phases from the start of a motion, program or mission to its end. Each event is recorded once, even
+if two connections report it. REPORT is the exception: the last report is kept. A life never returns to an earlier
+phase, and the first end is final. An event that cannot happen in a phase raises an error. After the end, events have no
+effect. docs/architecture.md shows the same table. The phase alone is not the whole state, because a program has two
+connections, which deliver their events in any order. The primary connection reports BEGIN, REPORT and STOP. The link to
+the program causes LINK, LOSE and BRAKE.
 
-`Lifecycle` is used inside the library, and users hold a `Handle`. Both work without a lock: each event is put into a
-dictionary with `setdefault`, which is one step for threads and for signal handlers.
+The library uses the class `Lifecycle`, and users get a `Handle`. Both classes work without a lock: each event is put
+into a dictionary with `setdefault`, which neither another thread nor a signal handler can interrupt.
 
-A life that has ended must not be part of a reference cycle, because a program may have switched off the garbage
-collector. Therefore it releases its handle and its brake at the end. It keeps and returns copies of its error that have
-never been raised. A raised exception refers to the frames that it passes, and the variables of these frames refer to
-the handle.
+A life that has ended must not be part of a reference cycle, because a program might have switched off the garbage
+collector. Therefore a life releases its handle and its brake function at the end. It stores and returns only copies of
+its error that have never been raised. A raised exception refers to the frames that it passes, and the variables of
+these frames refer to the handle.
 """
 
 from __future__ import annotations
@@ -74,7 +76,7 @@ class Event(enum.Enum):
     LINK = "link"  # its program has connected, and receives messages
     LOSE = "lose"  # the link to its program was lost
     BRAKE = "brake"  # from now on, only messages that end it are sent
-    REPORT = "report"  # its program has reported how it ends
+    REPORT = "report"  # its program has reported the result
     STOP = "stop"  # the controller has ended it, and the reason is not known yet
     SETTLE = "settle"  # its program has ended, and the arm is still moving
     FINISH = "finish"
@@ -122,12 +124,12 @@ class Lifecycle:
     Args:
         name: Name, used in log and error messages.
         callbacks: Thread that calls the callbacks of users.
-        waiting: Context that surrounds each wait for the end. It may admit other threads meanwhile, or refuse to wait.
+        waiting: Context that surrounds each wait for the end. It may release a lock during the wait, or refuse to wait.
 
     Attributes:
         brake: Function that stops the robot; may raise `LinkError`. It is called if the life ends early and the robot
             has to be stopped. It is released at the end.
-        future: Future that is settled at the end; it must not be cancelled.
+        future: Future that is done at the end of the life. It must not be cancelled.
         handle: Handle of the user; None if there is no handle, and after the end.
     """
 
@@ -145,19 +147,21 @@ class Lifecycle:
         #: event -> its record. The event that has ended the life is recorded under the key None.
         self._marks: dict[Event | None, Occurrence] = {}
         self.future: Future[None] = Future()
-        # A task that is cancelled while it awaits must cancel the motion rather than the future.
+        # Set the future to running, so that it cannot be cancelled: if an awaiting task is cancelled, it must cancel
+        # the motion instead.
         self.future.set_running_or_notify_cancel()
         self._releases: deque[Callable[[], object]] = deque()
         self._done_callbacks: deque[Callable[[], object]] = deque()
         self.enter()
 
     def enter(self) -> None:
-        """Record that it is started by the call that this thread executes now.
+        """Record that the current call of this thread starts the motion, program or mission.
 
-        A block is made by one call, and entered by another call that might come much later.
+        If a handle is used in a `with` statement, one call creates the handle, and another call enters the block,
+        possibly much later.
 
         Raises:
-            Cancelled: If that call was abandoned.
+            Cancelled: If the current call was abandoned.
         """
         self._call = current_call()
         order = None if self._call is None else self._call.order
@@ -177,53 +181,56 @@ class Lifecycle:
     def happened(self, event: Event) -> Occurrence | None:
         """Return the record of an event other than an end.
 
-        Return None if it has not happened before the end.
+        Return None if the event has not happened before the end.
         """
         return self._marks.get(event)
 
     @property
     def is_over(self) -> bool:
-        """Whether it has ended, as DONE, CANCELLED or FAILED."""
+        """Whether the motion, program or mission has ended, as DONE, CANCELLED or FAILED."""
         return None in self._marks
 
     @property
     def is_wanted(self) -> bool:
-        """Whether it may still start: it has not ended, and the call that started it was not abandoned."""
+        """Whether the robot might still start it: it has not ended, and the call that sent it was not abandoned."""
         return not (self.is_over or (self._call is not None and self._call.is_given_up))
 
     @property
     def error(self) -> Exception | None:
-        """Error that ended it early, as a copy that may be raised; None if there is none."""
+        """Error that has ended the motion, program or mission early, or None.
+
+        The error is a copy that may be raised.
+        """
         end = self._marks.get(None)
         return None if end is None or end.error is None else unraised(end.error)
 
     # -- events --------------------------------------------------------------------------------------
 
     def begin(self, at: float = math.nan) -> bool:
-        """Record that the robot has begun it.
+        """Record that the robot has begun the motion, program or mission.
 
-        Like all of these, return False if repeated or after the end.
+        Like every method that records an event, return False if the event was recorded before, or after the end.
         """
         return self.fire(Event.BEGIN, at=at)
 
     def finish(self) -> bool:
-        """Record that it has finished normally."""
+        """Record that the motion, program or mission has finished normally."""
         return self.fire(Event.FINISH)
 
     def cancel(self, why: str, *, brake: bool = False) -> bool:
-        """Record that it was cancelled here; with `brake`, stop the robot."""
+        """Record that this process has cancelled the motion, program or mission. With `brake`, also stop the robot."""
         return self.fire(Event.CANCEL, Cancelled(f"{self.name} was {why}"), brake)
 
     def give_up(self) -> bool:
-        """Cancel it and stop the robot, because the task that awaited it was cancelled."""
+        """Cancel the motion, program or mission, and stop the robot, because the awaiting task was cancelled."""
         return self.cancel("cancelled, because the task that awaited it was cancelled", brake=True)
 
     def fail(self, error: Exception, *, brake: bool = False) -> bool:
-        """Record that it has failed; with `brake`, stop the robot."""
+        """Record the error that has ended the motion, program or mission early. With `brake`, also stop the robot."""
         return self.fire(Event.FAIL, error, brake)
 
     def fire(self, event: Event, error: Exception | None = None, brake: bool = False, *, at: float = math.nan) -> bool:
-        """Record an event. Return False if it has happened before, or if the life has ended.
+        """Record an event. Return False if the event was recorded before, or if the life has ended.
 
         Args:
             event: The event.
@@ -252,7 +259,7 @@ class Lifecycle:
             if brake:
                 regardless(self.brake)
         except LinkError as failure:
-            # It was stopped by other means, or the link is lost.
+            # The robot has already stopped for another reason, or the connection is lost.
             _log.info("%s: could not send a stop to the robot: %s", self.name, failure)
         except Exception:
             raise
@@ -279,22 +286,22 @@ class Lifecycle:
     # -- waiting for the end -------------------------------------------------------------------------
 
     def on_end(self, release: Callable[[], object]) -> None:
-        """Call `release` when it ends, in the thread that ends it.
+        """Call `release` when the motion, program or mission ends, in the thread that ends it.
 
-        This is for functions of the library that neither wait nor raise.
+        Use this only for functions of the library that neither wait nor raise.
         """
         self._releases.append(release)
         if self.is_over:
             _drain(self._releases, regardless)
 
     def call_back(self, callback: Callable[[], object]) -> None:
-        """Call `callback` when it has ended, in the thread for callbacks."""
+        """Call `callback` when the motion, program or mission has ended, in the thread for callbacks."""
         self._done_callbacks.append(callback)
         if self.future.done():
             _drain(self._done_callbacks, self._callbacks.call)
 
     def wait(self, timeout: float) -> bool:
-        """Wait until it has ended; return False if it has not ended within `timeout` seconds.
+        """Wait for the end of the motion, program or mission; return False after `timeout` seconds.
 
         Raises:
             LocalError: If called from the thread that would have to deliver the result.
@@ -323,11 +330,11 @@ def _drain(waiting: deque[Callable[[], object]], use: Callable[[Callable[[], obj
 class Handle(StrictAttributes):
     """Handle of a motion, program or mission on a robot.
 
-    You can wait for it, await it, or ignore it; it keeps running in each case. **An interrupted wait cancels it**, and
-    the robot brakes. This happens on Ctrl-C in `wait`, and when a task that awaits it is cancelled. The `timeout` of
-    `wait` only ends the waiting. Ctrl-C in ``wait(cancel=False)`` and a cancellation of
-    ``await asyncio.shield(handle)`` also only end the waiting. As a context manager, it is cancelled if the block is
-    left before it has ended.
+    You can wait for the motion, program or mission, await it, or ignore it; it keeps running in each case. **An
+    interrupted wait cancels it**, and the robot brakes. This happens on Ctrl-C in `wait`, and when a task that awaits
+    the handle is cancelled. In three cases only the wait ends, and the robot continues: when the `timeout` of `wait`
+    has passed, on Ctrl-C in ``wait(cancel=False)``, and when a task is cancelled in ``await asyncio.shield(handle)``.
+    In a `with` statement, the motion, program or mission is cancelled if the block ends first.
     """
 
     def __init__(self, life: Lifecycle) -> None:
@@ -346,32 +353,34 @@ class Handle(StrictAttributes):
 
     @property
     def done(self) -> bool:
-        """Whether it has ended, in any way."""
+        """Whether the motion, program or mission has ended, for whatever reason."""
         return self._life.is_over
 
     @property
     def error(self) -> Exception | None:
-        """Error that ended it early, which `wait` raises.
+        """Error that has ended the motion, program or mission early. `wait` raises this error.
 
-        It is None if it finished normally or has not ended.
+        It is None after a normal end, and before the end.
         """
         return self._life.error
 
     def wait(self, timeout: float = 60.0, *, cancel: bool = True) -> None:
-        """Wait until it has ended. This also works in done callbacks.
+        """Wait until the motion, program or mission has ended. Done callbacks may call this too.
 
         Args:
-            timeout: Maximum wait in seconds. After a time-out it keeps running, and you can wait for it again.
-            cancel: Whether an exception that interrupts the waiting (Ctrl-C: `KeyboardInterrupt`) cancels it.
+            timeout: Maximum wait in seconds. After a timeout, the motion, program or mission keeps running, and you can
+                wait again.
+            cancel: Whether an exception that interrupts the wait (Ctrl-C: `KeyboardInterrupt`) cancels the motion,
+                program or mission.
 
         Raises:
             BadValue: If `timeout` is not a number of seconds.
-            LocalError: If called in a callback of an arm's stream that was subscribed with ``inline=True``: this is the
-                thread that would have to receive the end.
+            LocalError: If called in a callback that was subscribed to a stream of the arm with ``inline=True``. This
+                thread would have to receive the end.
             LinkTimeout: If it has not ended in time; it keeps running.
             Cancelled: If it was cancelled, or preempted by another one.
-            LinkError: If something else ended it. For an arm: `SafetyStop`, `NotRunning`, `ConnectFailed`,
-                `ConnectionLost`, `ProgramStopped`, `ScriptError`, `ToleranceExceeded`.
+            LinkError: If something else has ended the motion, program or mission. For an arm: `SafetyStop`,
+                `NotRunning`, `ConnectFailed`, `ConnectionLost`, `ProgramStopped`, `ScriptError`, `ToleranceExceeded`.
         """
         seconds = check_seconds(timeout, "timeout", finite=True)
         try:
@@ -396,17 +405,17 @@ class Handle(StrictAttributes):
                 self.cancel()  # has an effect only if a second Ctrl-C has interrupted the first call
 
     def cancel(self) -> None:
-        """Cancel it, and let the robot brake.
+        """Cancel the motion, program or mission, and let the robot brake.
 
-        Returns before the robot is at rest; no effect if it has ended.
+        The call returns before the robot is at rest. It has no effect after the end.
         """
         if self._life.cancel("cancelled", brake=True):
             _log.info("%s was cancelled", self.name)
 
     def add_done_callback(self, callback: Callable[[Self], object]) -> None:
-        """Call `callback` in the robot's callback thread when it has ended.
+        """Call `callback` in the robot's callback thread when the motion, program or mission has ended.
 
-        If it has already ended, the callback is called soon. The callback may command the robot, and wait. A slow
+        If it has already ended, the callback is called soon. The callback may command the robot, and may wait. A slow
         callback delays other callbacks of the same robot.
 
         Raises:
@@ -455,7 +464,7 @@ def waited(handle: H, seconds: float) -> H:
 
     Raises:
         LinkTimeout: If it has not ended in time; it keeps running.
-        LinkError: If something else ended it. See `Handle.wait`.
+        LinkError: If something else has ended it. See `Handle.wait`.
     """
     has_started()
     if seconds:
@@ -468,7 +477,7 @@ class Motion(Handle):
 
     Args:
         life: Life of the motion.
-        measure: Function that returns the completed part, from 0 to 1; values outside are clipped.
+        measure: Function that returns the completed part, from 0 to 1; values outside this range are clipped.
     """
 
     def __init__(self, life: Lifecycle, measure: Callable[[], float] = lambda: 0.0) -> None:

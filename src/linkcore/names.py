@@ -1,11 +1,12 @@
-"""Package members that are imported at first use, and errors that suggest the right name for a misspelt attribute.
+"""Lazy imports of package members, and errors that suggest the right name for a misspelt attribute.
 
 - `lazy_names` makes the public names of a package (PEP 562), and `needs` names the extra that installs a missing
   package.
 - `plugin` loads a part from a separate distribution, such as a command or a recorder. If the distribution is missing,
   the error shows the command that installs it.
 - `StrictAttributes` is a base class whose objects raise an error with a hint when a program reads or sets an attribute
-  that they do not have. Without it, setting a misspelt attribute would create a new attribute and have no effect.
+  that they do not have. Without this class, setting a misspelt attribute would create a new attribute and have no
+  effect.
 """
 
 from __future__ import annotations
@@ -70,7 +71,7 @@ def lazy_names(
     if foreign is not None:
         _foreign_names[package] = f"{package}{foreign}"
     for name, distribution in brought.items():
-        # Before the finders of Python, which would import the modules of such a package a second time.
+        # Put the finder before those of Python, which would import the modules of such a package a second time.
         sys.meta_path.insert(0, _Brought(package, name, distribution))
 
     def imported(module: str) -> Any:
@@ -176,7 +177,7 @@ def missing_plugin(distribution: str, purpose: str) -> str:
 class _Brought:
     """Finder for a subpackage from another distribution.
 
-    Each of its modules is one module under both names.
+    Each module of the subpackage is the same object under both names.
 
     Args:
         package: Package that the subpackage belongs to.
@@ -221,7 +222,7 @@ class _Brought:
         sys.modules[module.__name__] = import_module(self._elsewhere(module.__name__))
 
 
-#: argument here -> its names in other libraries
+#: Name of an argument in this library -> names of the same argument in other libraries.
 _KEYWORDS = {
     "speed": "v vel velocity max_vel max_velocity",
     "acceleration": "a acc accel max_acc max_acceleration",
@@ -237,7 +238,7 @@ _OF_MOVES = frozenset({"speed", "acceleration", "wait"})
 
 
 class StrictAttributes:
-    """An object whose users can only read and set attributes that it has.
+    """Base class for objects whose attributes are checked: programs can only read and set attributes that exist.
 
     Code in the packages of its classes can add attributes. Any other code can set existing attributes, and can replace
     a method by another function, as tests do. Names that begin with an underscore are not checked when they are set.
@@ -254,7 +255,7 @@ class StrictAttributes:
                 setattr(cls, name, _explaining_arguments(method))
 
     def _hint(self, name: str) -> str | None:
-        """Return the end of the error message for a missing public name; None for the usual hints."""
+        """Return a hint for the end of the error about a missing public name; None for the usual hints."""
         return None
 
     if not TYPE_CHECKING:  # type checkers would conclude that the object has every attribute
@@ -269,13 +270,15 @@ class StrictAttributes:
 
 
 class Elsewhere:
-    """Missing attribute of a class whose error names the equivalent attribute; `dir` omits it.
+    """Placeholder for an attribute that a class does not have.
+
+    The error for its use names the equivalent attribute. `dir` omits the placeholder.
 
     It is used for classes of packets, which have no `__getattr__`, because that would slow down each access to a field.
 
     Args:
         name: Name of the missing attribute.
-        own: Equivalent name here.
+        own: Equivalent name in this library.
     """
 
     def __init__(self, name: str, own: str) -> None:

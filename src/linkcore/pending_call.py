@@ -1,14 +1,14 @@
-"""Calls that can start a motion or program on a robot, their order among its stops, and how to abandon a call.
+"""Calls that can start a motion or program on a robot: their order relative to stops, and how to abandon a call.
 
 Each call gets a number when it is entered (`Call`, `PendingCall`), and each stop of a robot gets a number too. Before
 bytes leave this computer, the number of the call is compared with the number of the last stop. A call that was entered
-before the stop sends nothing after it. So a motion that is still being prepared, or that waits in a queue, does not
-start after a stop. A call that was entered later is not affected.
+before a stop sends nothing after this stop. So a motion that is still being prepared, or that waits in a queue, does
+not start after the stop. A call that was entered later is not affected.
 
-Python cannot interrupt a thread from outside. So each wait of the library that can take long is entered with
-`interruptible`, which wakes the wait when the call is abandoned; the call then ends with `Cancelled`. An abandoned
-call sends nothing more, because `check_wanted` is called before bytes leave this computer. The motions and programs
-that it has started are cancelled.
+In Python, a thread cannot be interrupted by another thread. So each long wait of the library is surrounded by
+`interruptible`. When the call is abandoned, `interruptible` ends the wait, and the call raises `Cancelled`. An
+abandoned call sends nothing more, because `check_wanted` is called before bytes leave this computer. The motions and
+programs that it has started are cancelled.
 """
 
 from __future__ import annotations
@@ -32,29 +32,29 @@ _orders = itertools.count(1)
 
 
 def next_order() -> int:
-    """Return the number of a call or a stop.
+    """Return the next number for a call or a stop.
 
-    It is larger than all earlier numbers of all threads.
+    The number is larger than every earlier number in any thread.
     """
     return next(_orders)
 
 
 class Started(Protocol):
-    """Life of a motion, program or mission that a call has started on a robot, such as `linkcore.handle.Lifecycle`."""
+    """Protocol of a motion, program or mission that a call has started, such as `linkcore.handle.Lifecycle`."""
 
     @property
     def is_over(self) -> bool:
-        """Whether it has ended."""
+        """Whether the motion, program or mission has ended."""
 
     def give_up(self) -> bool:
-        """Cancel it, because the task that awaited it was cancelled."""
+        """Cancel the motion, program or mission, because the awaiting task was cancelled."""
 
     def cancel(self, why: str, *, brake: bool = False) -> bool:
-        """Cancel it, and stop the arm at once if `brake`."""
+        """Cancel the motion, program or mission; with `brake`, stop the arm at once."""
 
 
 class _Lives:
-    """Lives that one call has started.
+    """Motions, programs and missions that one call has started.
 
     The references are weak, so an abandoned handle may be collected.
     """
@@ -72,10 +72,10 @@ class _Lives:
 
 
 class PendingCall:
-    """A call that one thread makes for another party: a task of an event loop, or a client of a server.
+    """Call that one thread makes for another party, such as a task of an event loop or a client of a server.
 
-    Create this object when the call is requested rather than when a thread starts to make it, because the call counts
-    as entered when the object is created. The party may abandon the call at any moment, before and while it is made.
+    Create this object when the call is requested, not when a thread begins to make it, because the call counts as
+    entered when the object is created. The party may abandon the call at any moment, before or during the call.
 
     Args:
         is_ordered: Whether everything in the call counts as entered now. Pass False for a function of the user that
@@ -101,7 +101,8 @@ class PendingCall:
         """Make the call in this thread.
 
         Raises:
-            Cancelled: If it was abandoned before it could send something, or if the robot was stopped meanwhile.
+            Cancelled: If the call was abandoned before it could send anything, or if the robot was stopped in the
+                meantime.
         """
         outer, _here.call = current_call(), self
         try:
@@ -119,7 +120,9 @@ class PendingCall:
         self.check()
 
     def on_give_up(self, undo: Callable[[], object]) -> None:
-        """Call `undo` if the call is abandoned, even if its function has returned, since its result is lost then.
+        """Call `undo` if the call is abandoned, even if its function has returned.
+
+        In this case the result of the call is lost.
 
         Args:
             undo: Idempotent function that undoes the call. It is called in a thread, or in this thread if the call was
@@ -131,9 +134,9 @@ class PendingCall:
 
     @contextlib.contextmanager
     def interruptible(self, wake: Callable[[], object]) -> Iterator[None]:
-        """Surround a wait by a block: when the call is abandoned, `wake` is called to end the wait.
+        """Context for a wait: if the call is abandoned, `wake` is called to end the wait.
 
-        `wake` must not wait itself.
+        `wake` itself must not wait.
 
         Raises:
             Cancelled: If the call was abandoned, even if the wait ended with another error or with a result.
@@ -149,7 +152,7 @@ class PendingCall:
             self.check()
 
     def check(self) -> None:
-        """Raise `Cancelled` if it was abandoned."""
+        """Raise `Cancelled` if the call was abandoned."""
         if self.is_given_up:
             raise Cancelled("the task that awaited this call was cancelled; nothing more is sent")
 
@@ -173,7 +176,7 @@ class PendingCall:
 
 
 class Call:
-    """One call of a public method that can start a motion, from its entry to its return.
+    """Call of a public method that can start a motion, from its entry to its return.
 
     See `starts_motion`.
 
@@ -182,8 +185,8 @@ class Call:
 
     Attributes:
         order: Number of this call.
-        has_started: Whether the call has started its motion or program, and only waits for the end. If this wait times
-            out, nothing is cancelled.
+        has_started: Whether the call has started its motion or program, and is only waiting for the end. If this wait
+            times out, nothing is cancelled.
         outer: Outer call, or None.
     """
 
@@ -213,7 +216,7 @@ class Call:
             self._task.check()
 
     def abandon(self, error: BaseException) -> None:
-        """Cancel everything that the call has started, because it does not return a handle.
+        """Cancel everything that the call has started, because the call does not return a handle.
 
         The robot brakes.
         """
@@ -227,9 +230,9 @@ class Call:
 def starts_motion(method: Callable[Concatenate[S, P], T]) -> Callable[Concatenate[S, P], T]:
     """Decorate a public method that can start a motion.
 
-    The call is ordered among the stops of the robot by the moment of its entry. If it raises before it has returned its
-    handle, because of an error or of Ctrl-C at any point, everything that it has started is cancelled. The robot
-    brakes, because the program has no handle to stop it.
+    The moment of its entry determines whether the call was made before or after a stop of the robot. If the call raises
+    before it returns a handle, because of an error or Ctrl-C, everything that it has started is cancelled. The robot
+    then brakes, because the program has no handle with which it could stop the motion.
     """
 
     @functools.wraps(method)
@@ -249,13 +252,13 @@ def starts_motion(method: Callable[Concatenate[S, P], T]) -> Callable[Concatenat
 
 
 def current_call() -> PendingCall | Call | None:
-    """Return the call that this thread makes, or None."""
+    """Return the call that this thread is making, or None."""
     call: PendingCall | Call | None = getattr(_here, "call", None)
     return call
 
 
 def stopped_here() -> int:
-    """Return the number of a stop that this thread makes now.
+    """Return the number of the stop that this thread is making now.
 
     A signal handler may stop the robot in the middle of a call, and then start another motion. This motion counts as
     entered after the stop, although it is entered within the interrupted call.
@@ -275,9 +278,9 @@ def has_started() -> None:
 
 
 def check_wanted() -> None:
-    """Raise if this thread makes a call that was abandoned.
+    """Raise if this thread is making a call that was abandoned.
 
-    It is called before anything is sent.
+    Call this function before anything is sent.
 
     Raises:
         Cancelled: If the call was abandoned.
@@ -288,7 +291,7 @@ def check_wanted() -> None:
 
 
 def pending_call() -> PendingCall | None:
-    """Return the pending call that this thread makes, or None."""
+    """Return the pending call that this thread is making, or None."""
     call = current_call()
     return call._task if isinstance(call, Call) else call
 
@@ -296,7 +299,7 @@ def pending_call() -> PendingCall | None:
 def interruptible(wake: Callable[[], object]) -> contextlib.AbstractContextManager[None]:
     """Surround a wait; see `PendingCall.interruptible`.
 
-    No effect unless this thread makes a pending call.
+    No effect unless this thread is making a pending call.
     """
     call = pending_call()
     return contextlib.nullcontext() if call is None else call.interruptible(wake)
@@ -305,7 +308,7 @@ def interruptible(wake: Callable[[], object]) -> contextlib.AbstractContextManag
 def on_give_up(undo: Callable[[], object]) -> None:
     """Call `undo` if the pending call of this thread is abandoned; see `PendingCall.on_give_up`.
 
-    It has no effect unless this thread makes a pending call.
+    It has no effect unless this thread is making a pending call.
     """
     call = pending_call()
     if call is not None:
@@ -313,9 +316,9 @@ def on_give_up(undo: Callable[[], object]) -> None:
 
 
 def regardless(call: Callable[[], T]) -> T:
-    """Make a call that may send even if the current call was abandoned.
+    """Make a call that may send data even if the current call was abandoned.
 
-    It is for calls that stop the robot, or that complete an earlier decision.
+    Use this function for calls that stop the robot, or that complete an earlier decision.
     """
     outer, _here.call = current_call(), None
     try:

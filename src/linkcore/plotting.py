@@ -30,7 +30,7 @@ _SUFFIXES = (".png", ".svg", ".pdf")
 
 
 class Curves(NamedTuple):
-    """One field over time.
+    """Values of one field over time.
 
     Attributes:
         name: Name of the field.
@@ -48,8 +48,8 @@ class Curves(NamedTuple):
 def element_names(unit: str, count: int) -> tuple[str, ...]:
     """Return the names of the elements of a vector for a legend.
 
-    They are the names of the axes for a vector in space, with the unit of each axis if there are two units. For other
-    vectors they are numbers.
+    For a vector in space, they are the names of the axes, with the unit of each axis if there are two units. For any
+    other vector, they are the numbers of the elements.
 
     >>> element_names("m, rad", 6)
     ('x, m', 'y, m', 'z, m', 'rx, rad', 'ry, rad', 'rz, rad')
@@ -72,7 +72,7 @@ class Plot(StrictAttributes):
         title: Title above the panels.
 
     Raises:
-        BadValue: If there is no field, or if a field is not a number.
+        BadValue: If there is no field, or if a field is not numeric.
     """
 
     def __init__(self, curves: Sequence[Curves], title: str = "") -> None:

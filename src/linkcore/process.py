@@ -1,13 +1,13 @@
 """Rules for the end of this process and for its forked children.
 
 A forked child must not use the connections of its parent. When this process ends, the programs that it has started on
-robots are stopped. Three kinds of ends can be noticed:
+robots are stopped. This module detects three events:
 
 - The interpreter exits, even because of an exception such as `KeyboardInterrupt`.
 - The process receives SIGTERM.
 - A cell of a notebook is interrupted. The process continues in this case.
 
-SIGKILL, `os._exit` and a crash of the interpreter cannot be noticed.
+SIGKILL, `os._exit` and a crash of the interpreter cannot be detected.
 
 The handler of SIGTERM is installed only if the program has no other handler, and only from the main thread, as Python
 requires. After the robots were stopped, SIGTERM ends the process as it would have without the handler.
@@ -29,7 +29,7 @@ from .errors import LocalError
 
 
 class HomeProcess:
-    """The process in which an object was created.
+    """Process in which an object was created.
 
     Args:
         name: Name of the object, used in the error message.
@@ -43,7 +43,7 @@ class HomeProcess:
 
     @property
     def is_here(self) -> bool:
-        """Whether the current process has created the object, rather than a forked child of that process."""
+        """Whether the current process has created the object; False in a forked child of that process."""
         return os.getpid() == self._number
 
     def check(self) -> None:
@@ -86,7 +86,7 @@ if hasattr(os, "register_at_fork"):  # not on Windows, which cannot fork
 
 
 class Abandonable(Protocol):
-    """An object that has started programs on a robot."""
+    """Object that has started programs on a robot."""
 
     def abandon(self, why: str, is_end: bool) -> object:
         """Stop the started programs, and if the process ends, start nothing more.
@@ -99,35 +99,43 @@ class Abandonable(Protocol):
         """
 
 
-_open: weakref.WeakSet[Abandonable] = weakref.WeakSet()
-_watched: set[str] = set()
+#: `id` -> object to abandon. A dictionary is used because a WeakSet cannot be copied while another thread changes it.
+_open: weakref.WeakValueDictionary[int, Abandonable] = weakref.WeakValueDictionary()
+#: What is watched already, each with a mark of the call that has begun to watch it.
+_watched: dict[str, object] = {}
+
+
+def _is_first(what: str) -> bool:
+    """Whether this is the first call for `what`, in one step for threads and signal handlers."""
+    mark = object()
+    return _watched.setdefault(what, mark) is mark
 
 
 def abandon_at_end(part: Abandonable) -> None:
     """Call `part.abandon` when this process ends, unless `forget` was called or `part` was collected before."""
-    _open.add(part)
-    if "exit" not in _watched:
-        _watched.add("exit")
+    _open[id(part)] = part
+    if _is_first("exit"):
         atexit.register(_abandon_all, "the interpreter exits", True)
         if hasattr(os, "register_at_fork"):
             # A child must not stop the programs that its parent has started.
             os.register_at_fork(after_in_child=_open.clear)
-    if "SIGTERM" not in _watched and threading.current_thread() is threading.main_thread():
-        _watched.add("SIGTERM")
+    if threading.current_thread() is threading.main_thread() and _is_first("SIGTERM"):
         _watch_sigterm()
-    if "notebook" not in _watched and "IPython" in sys.modules:
-        _watched.add("notebook")
+    if "IPython" in sys.modules and _is_first("notebook"):
         _watch_notebook()
 
 
 def forget(part: Abandonable) -> None:
-    """Do nothing for `part` when this process ends: it was closed."""
-    _open.discard(part)
+    """Do not call `part.abandon` when this process ends, because `part` was closed."""
+    _open.pop(id(part), None)
 
 
 def _abandon_all(why: str, is_end: bool) -> None:
-    for part in tuple(_open):
-        part.abandon(why, is_end)
+    # `valuerefs` copies the references in one step. `values` would fail if another thread adds a part meanwhile.
+    for reference in _open.valuerefs():
+        part = reference()
+        if part is not None:
+            part.abandon(why, is_end)
 
 
 def _watch_sigterm() -> None:

@@ -1,4 +1,4 @@
-"""Functions that make text from a peer safe to print, to log, and to show as JSON or HTML.
+"""Functions that make text from a peer safe for printing, for logs, and for JSON or HTML.
 
 Bytes from the wire must not control a terminal, forge a log line, or be interpreted as HTML. Modules that few programs
 need are imported inside the functions, so that importing the library stays fast.
@@ -16,7 +16,7 @@ def printable(text: object) -> str:
 
     Unprintable characters can move the cursor, set colours, rename the window, reverse the writing direction or hide
     text. They are control characters, ESC, C1, bidirectional overrides, line separators and lone surrogates. Use this
-    function wherever text of a peer is printed or logged, and for errors that may quote such text.
+    function wherever text of a peer is printed or logged, and for errors that might quote such text.
 
     >>> printable("stop\x1b[2J\u202e\n")
     'stop\\x1b[2J\\u202e\\n'
@@ -65,7 +65,7 @@ def _finite(value: Any) -> Any:
 def html_table(
     caption: object, head: Sequence[str], rows: Iterable[Sequence[object]], notes: Iterable[str] = ()
 ) -> str:
-    """Return an HTML table in which all texts are escaped, because they may come from a peer.
+    """Return an HTML table in which all texts are escaped, because they might come from a peer.
 
     Args:
         caption: Caption above the table.

@@ -1,11 +1,12 @@
-"""Helpers for threads and locks.
+"""Functions and base classes for threads and locks.
 
 - `started` starts a thread, with a clear error if the system has no thread left.
 - `acquired`, `held` and `alone` hold a lock in a block, with a timeout.
-- `CallbackThread` calls the callbacks of a user: done callbacks, `on_stop` and `on_text`. No lock is held meanwhile,
-  and the robot does not wait. So a callback may command the robot, wait for a motion, close the robot, be slow or
-  raise. A slow callback delays only the callbacks after it.
+- `CallbackThread` calls the callbacks of a user: done callbacks, `on_stop` and `on_text`. During such a call, no lock
+  is held, and the robot does not wait. So a callback may command the robot, wait for a motion, close the robot, be slow
+  or raise. A slow callback delays only the callbacks after it.
 - `MadeOnce` holds an object that several threads may make at its first use.
+- `Newest` holds the newest values of one thread, and any thread can copy them.
 - `Closing` is a base class of context managers that close themselves at the end of their block.
 - `Runnable` is a server that runs once, either in the thread that calls `run`, or in a dedicated thread from `start` to
   `close`.
@@ -53,7 +54,7 @@ def acquired(lock: threading.Lock | threading.RLock, timeout: float) -> Iterator
     got: list[bool] = []
 
     def attempt(seconds: float | None) -> bool:
-        # One step acquires the lock and notes it. Ctrl-C between two steps would leave the lock locked forever.
+        # Acquire the lock and record this in one step. Ctrl-C between two steps would leave the lock locked forever.
         got.extend(map(lock.acquire, (True,), (-1 if seconds is None else seconds,)))
         return got[-1]
 
@@ -80,16 +81,16 @@ def held(lock: threading.Lock | threading.RLock, timeout: float, otherwise: str)
 
 @contextlib.contextmanager
 def alone(lock: threading.RLock, timeout: float, otherwise: str) -> Iterator[None]:
-    """Hold a lock like `held`, in a block that waits for a peer and that a signal handler must not enter again.
+    """Hold a lock like `held`, but raise at once if the current thread already holds the lock.
 
-    A handler runs in the thread that it has interrupted. If this thread is in the block already, the handler would wait
-    forever.
+    Use it for a block that waits for a peer. A signal handler runs in the thread that it has interrupted. If that
+    thread is already in the block, the handler would wait forever.
 
     Raises:
         LinkTimeout: If other threads hold the lock for longer, or at once if the current thread holds it.
     """
     if is_mine(lock):
-        raise LinkTimeout(f"{otherwise} (the call that this signal handler has interrupted)")
+        raise LinkTimeout(f"{otherwise} (this signal handler has interrupted the other call, so it cannot wait for it)")
     with held(lock, timeout, otherwise):
         yield
 
@@ -112,11 +113,11 @@ class ReentrantEvent:
         self._is_set = False
 
     def is_set(self) -> bool:
-        """Whether it was set, and has not been cleared since."""
+        """Whether the event was set, and has not been cleared since."""
         return self._is_set
 
     def set(self) -> None:
-        """Set it, and wake the threads that wait for it."""
+        """Set the event, and wake the threads that are waiting for it."""
         with self._changed:
             self._is_set = True
             self._changed.notify_all()
@@ -126,7 +127,7 @@ class ReentrantEvent:
         self._is_set = False
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until it is set; return False if it is not set within `timeout` seconds."""
+        """Wait until the event is set; return False if it is not set within `timeout` seconds."""
         if self._is_set:
             return True
         with self._changed:
@@ -143,10 +144,10 @@ _Calls = SimpleQueue[tuple[Callable[..., object], tuple[Any, ...]] | None]
 class MadeOnce(Generic[T]):
     """Holder of an object that is made at its first use, by the first thread that uses it.
 
-    It has no lock. A signal handler might interrupt the first use and use the object itself; it would wait for a lock
-    forever. Therefore two threads might make an object at the same time, and `keep` decides which object is kept. It
-    uses `dict.setdefault`, which is one step for threads and signal handlers. Making the object must not have effects
-    that need to be undone. The kept object may be started afterwards.
+    The holder has no lock: a signal handler might interrupt the first use and use the object itself, and would then
+    wait for a lock forever. Without a lock, two threads might make an object at the same time. `keep` decides which
+    object is kept, with `dict.setdefault`, which neither a thread nor a signal handler can interrupt. Making the object
+    must not have effects that need to be undone. The kept object may be started afterwards.
     """
 
     def __init__(self) -> None:
@@ -166,8 +167,33 @@ class MadeOnce(Generic[T]):
         return self._made.pop(None, None)
 
 
+class Newest(Generic[T]):
+    """The newest values of a series. One thread adds values, and any thread can copy them.
+
+    Unlike a `deque`, a list can be copied while another thread adds to it, even without the global interpreter lock.
+
+    Args:
+        count: Largest number of values that are copied.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self._values: list[T] = []
+
+    def add(self, value: T) -> None:
+        """Add a value at the end."""
+        self._values.append(value)
+        # Not with every value, because the remaining values are moved each time.
+        if len(self._values) >= 2 * self._count:
+            del self._values[: -self._count]
+
+    def copy(self) -> list[T]:
+        """Return the newest values, the newest last."""
+        return self._values[-self._count :]
+
+
 class CallbackThread:
-    """Thread that makes calls one after the other; it is started for the first call.
+    """Thread that makes calls one after the other. It is started at the first call.
 
     Args:
         name: Name of the thread.
@@ -257,7 +283,7 @@ class Runnable(Closing, ABC):
     Args:
         kind: Kind of server, used in errors and as the name of its thread.
         close_timeout: Maximum wait of `close` for the thread, in s.
-        holds: Name of the object that blocks the end, used in the error if `close` times out.
+        holds: Name of the object that might prevent the end, used in the error if `close` times out.
 
     Attributes:
         failure: Error that ended it on its own; None while it runs, and after `stop`.
@@ -273,7 +299,7 @@ class Runnable(Closing, ABC):
         self._thread: threading.Thread | None = None
         self._home = HomeProcess(kind)
         self._is_stopping = False
-        self._is_used = False
+        self._used: MadeOnce[object] = MadeOnce()  # kept by the call that begins
         self._ended = ReentrantEvent()
 
     # -- methods of a subclass -------------------------------------------------------------------------
@@ -303,15 +329,20 @@ class Runnable(Closing, ABC):
     # -- life ------------------------------------------------------------------------------------------
 
     def _begin_once(self) -> None:
-        if self._is_used:
+        # Keep the mark before anything that might fail. A failed attempt cannot be repeated, because it might have left
+        # devices open.
+        mark = object()
+        if self._used.keep(mark) is not mark:
             raise Closed(f"this {self._kind} has already run; create a new one")
-        # Set before anything that might fail: a failed attempt may have left devices open, so it cannot be repeated.
-        self._is_used = True
         try:
             self._begin()
         except BaseException:
             self._abandon()
             raise
+
+    @property
+    def _is_used(self) -> bool:
+        return self._used.made is not None
 
     def _abandon(self) -> None:
         try:
@@ -321,7 +352,8 @@ class Runnable(Closing, ABC):
 
     def _serve_to_end(self) -> None:
         try:
-            self._serve()
+            with clock.fine_timer():
+                self._serve()
         finally:
             self._ended.set()
 
@@ -363,16 +395,16 @@ class Runnable(Closing, ABC):
             _log.exception("the %s has ended", self._kind)
 
     def stop(self) -> None:
-        """Make it end after this round.
+        """Make the server end after its current round.
 
-        Any thread, callback, plugin or signal handler may call this.
+        Any thread, callback, plugin or signal handler may call this method.
         """
         # A flag and a byte into a pipe need no lock. The code that a signal handler interrupts might hold a lock.
         self._is_stopping = True
         self._wake()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until it has ended; return False if it has not ended in time.
+        """Wait until the server has ended; return False if it has not ended in time.
 
         Args:
             timeout: Maximum wait in seconds; None or infinity for no limit.

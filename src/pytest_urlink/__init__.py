@@ -1,8 +1,8 @@
 """Fixtures for tests of programs that use urlink or rhdlink.
 
-They provide a simulated controller, a robot, a mobile robot, and simulated time. pytest loads this module in every run
-in an environment that contains urlink. So the module imports nothing of urlink at the top. Other test runs do
-not load numpy, and no line of urlink is executed before a coverage measurement of it begins.
+The fixtures provide a simulated controller, a robot, a mobile robot, and simulated time. pytest loads this module in
+every run in an environment that contains urlink. Therefore the module does not import urlink at the top. Test runs of
+other projects then do not load numpy. A coverage measurement of urlink begins before any line of urlink is executed.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def _wanted(request: pytest.FixtureRequest, name: str) -> dict[str, Any]:
-    """Return the arguments of all markers of that name.
+    """Return the arguments of all markers with the name `name`.
 
     Arguments for the test have priority over arguments for its class and module.
     """
@@ -52,7 +52,7 @@ def _wanted(request: pytest.FixtureRequest, name: str) -> dict[str, Any]:
 
 @pytest.fixture
 def simulated_time(request: pytest.FixtureRequest) -> Iterator[Simulation]:
-    """Simulated time for the test, and for the fixtures that it names after this one.
+    """Simulated time for the test, and for the fixtures that the test names after this one.
 
     See `urlink.simulated_time`. Use ``@pytest.mark.simulated_time(seed=7)`` to pass arguments.
     """
@@ -64,12 +64,12 @@ def simulated_time(request: pytest.FixtureRequest) -> Iterator[Simulation]:
 
 @pytest.fixture
 def urlink_controller(request: pytest.FixtureRequest) -> Iterator[Controller]:
-    """A simulated controller that serves free ports.
+    """Simulated controller that serves free ports.
 
-    It has the attributes `address`, `faults`, `signals`, `arm` and more. Use
+    The controller has the attributes `address`, `faults`, `signals`, `arm` and more. Use
     ``@pytest.mark.urlink(model="UR5e", firmware="5.11", faults=["protective_stop@2"])`` to configure it; see
-    `urlink.simulator.Controller`. With ``stepped=True``, its time passes only in ``urlink_controller.step(cycles)`` and
-    in ``with urlink_controller.passing():``.
+    `urlink.simulator.Controller`. With ``stepped=True``, the time of the controller passes only in
+    ``urlink_controller.step(cycles)`` and in ``with urlink_controller.passing():``.
     """
     wanted = _wanted(request, "urlink")
     wanted.pop("connect", None)
@@ -84,7 +84,7 @@ def urlink_controller(request: pytest.FixtureRequest) -> Iterator[Controller]:
         controller.schedule(
             *(fault if not isinstance(fault, str) or "@" in fault else f"{fault}@0" for fault in faults)
         )
-    except (TypeError, ValueError) as error:  # BadValue and its like are ValueErrors
+    except (TypeError, ValueError) as error:  # BadValue and similar errors are ValueErrors
         raise pytest.UsageError(f"{request.node.nodeid}: @pytest.mark.urlink: {error}") from error
     with controller:
         yield controller
@@ -92,10 +92,11 @@ def urlink_controller(request: pytest.FixtureRequest) -> Iterator[Controller]:
 
 @pytest.fixture
 def urlink_robot(request: pytest.FixtureRequest, urlink_controller: Controller) -> Iterator[Robot]:
-    """A robot that is connected to `urlink_controller`, and closed at the end of the test.
+    """Robot that is connected to `urlink_controller`, and is closed at the end of the test.
 
     Use the marker's ``connect={"require_enable": "always"}`` to pass arguments of `urlink.connect`. With a stepped
-    controller, the inactivity timeout is one hour, because its time passes only when it is stepped.
+    controller, the inactivity timeout is one hour, because the time of the controller passes only when the test steps
+    it.
     """
     import contextlib
 
@@ -116,11 +117,11 @@ def urlink_robot(request: pytest.FixtureRequest, urlink_controller: Controller) 
 
 @pytest.fixture
 def rhd_turtle(request: pytest.FixtureRequest) -> Iterator[Turtle | SmrTurtle]:
-    """A simulated mobile robot that serves a free port.
+    """Simulated mobile robot that serves a free port.
 
-    Its address is `rhd_turtle.host.address`, and its world is `rhd_turtle.world`. Use
+    The address is `rhd_turtle.host.address`, and the simulated world is `rhd_turtle.world`. Use
     ``@pytest.mark.rhd_turtle(smr=True, world={"size": 5.0}, period=0.005)`` to configure it; see `rhdlink.Host`. With
-    ``pacing="lockstep"``, its time passes with each sync of a client.
+    ``pacing="lockstep"``, the time of the robot passes only with each sync of a client.
     """
     from rhdlink import Host
     from rhdlink.host.plugins.turtle import SmrTurtle, Turtle

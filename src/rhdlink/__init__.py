@@ -1,4 +1,4 @@
-"""Mobile robots that run the Robot Hardware Daemon (RHD): their variable database as typed Python.
+"""Client and host for mobile robots with the Robot Hardware Daemon (RHD), and client for mobile robots with MQTT.
 
     import rhdlink
     from rhdlink import Int32, Read, Variables, Write
@@ -12,7 +12,7 @@
         robot.sync()
         print(robot.encl)
 
-Importing it starts nothing and touches no network.
+Importing the package starts no thread and opens no connection.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from linkcore.streaming.connection_life import Backoff as Backoff
     from linkcore.streaming.connection_life import ConnectionState as ConnectionState
     from linkcore.streaming.packet_queue import block as block, drop_oldest as drop_oldest, latest as latest
-    from . import host as host, robots as robots, smrcl as smrcl, variables as variables
+    from . import host as host, mqtt as mqtt, robots as robots, smrcl as smrcl, variables as variables
     from .aio import connect_async as connect_async
     from .client import Variables as Variables, connect as connect
     from .drive import Drive as Drive
@@ -101,5 +101,5 @@ else:
             """,
             ".wire.schema": "schema",
         },
-        modules="host robots smrcl variables",
+        modules="host mqtt robots smrcl variables",
     )

@@ -1,13 +1,13 @@
-"""A robot for programs that use asyncio. Only calls that wait for the robot are coroutines.
+"""Robot objects for programs that use asyncio. Only calls that wait for the robot are coroutines.
 
     async with rhdlink.connect_async("smr12", rhdlink.robots.Smr, access="w") as robot:
         robot.variables.speedl = 20
         await robot.sync()
         print(robot.variables.encl)
 
-Reading and setting variables never waits, so the program does it on the robot object itself. `sync` runs in a dedicated
-thread of the robot, because RHD answers requests and each request waits for its answer. Missions and motions do not
-need this module, because their handles can be awaited.
+Reading and setting variables never waits, so a program reads and sets them directly on the robot object. `sync` runs in
+a dedicated thread of the robot, because RHD answers requests and each request waits for its answer. Missions and
+motions do not need this module, because their handles can be awaited.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 class AsyncRobot(StrictAttributes, Generic[R]):
-    """A connected robot for asyncio, created by `connect_async`. An async context manager.
+    """Connected robot for asyncio, created by `connect_async`. It is an async context manager.
 
     Attributes:
         variables: Robot object with the declared properties. Their values change only with `sync`.
@@ -86,7 +86,7 @@ class AsyncRobot(StrictAttributes, Generic[R]):
 
     async def _close(self, timeout: float) -> None:
         try:
-            # Not in the robot's own thread, which might be in the sync that this call ends.
+            # Do not use the robot's own thread, which might be in the sync that this call ends.
             await self._thread.make_stop(lambda: self.variables.close(timeout))
         finally:
             self._thread.close()
@@ -102,7 +102,7 @@ class AsyncRobot(StrictAttributes, Generic[R]):
 
 
 class _Options(TypedDict, total=False):
-    """The arguments of `rhdlink.connect` apart from the address and the class; see there."""
+    """Arguments of `rhdlink.connect`, except the address and the class."""
 
     access: Access
     fallback: Literal["r"] | None

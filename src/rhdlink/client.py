@@ -1,4 +1,4 @@
-"""`connect()`, and `Variables`: the robot object of a client program."""
+"""Function `connect`, and class `Variables`, the robot object of a client program."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from linkcore.streaming.subscription import Subscription
 from linkcore.text import similar
 from linkcore.threads import Closing, ReentrantEvent, alone
 
-from .address import parse_address
+from .address import MqttAddress, is_mqtt, parse_address, parse_mqtt_address
 from .connection import Connection, Transport
 from .errors import AccessDenied, NotThere
 from .recording import RecordedTransport
@@ -38,7 +38,7 @@ from .wire.schema import WIDTHS
 
 _log = logging.getLogger(__name__)
 
-#: "r" can read the robot's variables. "w" is the robot's master, which can also write them.
+#: "r" is a client that can read the robot's variables. "w" is the robot's master, which can also write them.
 Access = Literal["r", "w"]
 
 if TYPE_CHECKING:
@@ -67,7 +67,9 @@ def connect(
     """Connect to a robot.
 
     Args:
-        address: Address such as ``"localhost:24902"`` or ``"rhd://smr12"``. The default port is 24902.
+        address: Address such as ``"localhost:24902"`` or ``"rhd://smr12"``. The default port is 24902. The address of a
+            robot with MQTT is ``"mqtt://192.168.0.55"``, ``"mqtt://192.168.0.55:1883"`` or
+            ``"mqtt://192.168.0.55?dialect=2026"``.
         variables: Class that declares the variables of your program. Without it, variables are available by name only.
         access: "r" to read; "w" to be the robot's master, which also writes.
         fallback: "r" accepts read access if the robot already has a master; see `Variables.access`.
@@ -79,11 +81,12 @@ def connect(
         width: Number of 32-bit words of a time stamp, 2 or 4. By default it is detected from the handshake.
         limits: Limits on the data that the robot may send.
         record: Path of a new file in which to record every byte that the robot sends, with its arrival time. The
-            command `rhdlink replay` plays it. Each write delays the sync that it belongs to.
+            command `rhdlink replay` plays the file. Each write to the file delays its sync.
 
     Raises:
         BadAddress: If `address` is not valid.
         BadValue: If another argument is not valid.
+        LocalError: If the address begins with ``mqtt://``, and paho-mqtt is not installed.
         BadRecording: If the file of `record` already exists or cannot be created.
         AccessDenied: If the robot already has a master.
         WrongVariables: If the robot's variables do not match the declared ones. The error lists every difference.
@@ -92,7 +95,7 @@ def connect(
         LinkTimeout: If the robot does not answer in time.
         WrongPeer, PacketError: If the peer is not an RHD server.
     """
-    place = parse_address(address)
+    place = parse_mqtt_address(address) if is_mqtt(address) else parse_address(address)
     if variables is not None and not (isinstance(variables, type) and issubclass(variables, Variables)):
         raise BadValue(f"variables={variables!r}; expected a class that derives from rhdlink.Variables")
     check_choice(access, "access", ("r", "w"))
@@ -103,7 +106,13 @@ def connect(
     if limits is not None and not isinstance(limits, Limits):
         raise BadValue(f"limits={limits!r}; expected rhdlink.variables.Limits(...)")
     robot = cast("R", Variables()) if variables is None else variables()
-    transport: Transport = TcpTransport(place.host, place.port, silence=timeout)
+    transport: Transport
+    if isinstance(place, MqttAddress):
+        from .mqtt.transport import MqttTransport  # only here: most programs need no host
+
+        transport = MqttTransport(place, access=access, fallback=fallback, width=width, silence=timeout)
+    else:
+        transport = TcpTransport(place.host, place.port, silence=timeout)
     robot._connect(
         str(place),
         transport if record is None else RecordedTransport(transport, record),
@@ -115,9 +124,9 @@ def connect(
 
 
 class Variables(StrictAttributes, Declarations, Closing):
-    """A robot and its variables, which `sync` exchanges with the robot.
+    """Robot with its variables, whose values `sync` exchanges with the robot.
 
-    A context manager that closes itself.
+    Use it as a context manager to close it at the end of a block.
 
     Derive a class to declare variables as properties; see `Read` and `Write`. Every variable of the robot, declared or
     not, is also available by name::
@@ -144,7 +153,7 @@ class Variables(StrictAttributes, Declarations, Closing):
         refuse_hiding(cls, Variables)
 
     def __setattr__(self, attribute: str, value: object) -> None:
-        # A misspelt name would set an attribute that is never sent.
+        # Reject unknown names, because a misspelt name would set an attribute that is never sent.
         if not attribute.startswith("_") and not hasattr(type(self), attribute):
             raise NotThere(
                 f"{type(self).__name__} does not declare {attribute}{similar(attribute, list(self.declared()))}"
@@ -167,15 +176,16 @@ class Variables(StrictAttributes, Declarations, Closing):
         self._sync_thread: SyncThread | None = None
         self._connections = 0
         self._state = ConnectionState.IDLE
+        self._telling = threading.RLock()  # held from a change of the state until its event is queued
         self._open(clock.now() + timeout)
 
     # -- values --------------------------------------------------------------------------------
 
     def __getitem__(self, name: str) -> Any:
-        """The words of a variable: an int for one word, otherwise a read-only int32 array.
+        """Return the words of a variable: an int if it has one word, otherwise a read-only int32 array.
 
-        The array is a copy that does not change. If a read and a write variable have the same name, this is the read
-        variable.
+        The array is a copy that does not change. If a read and a write variable have the same name, the read variable
+        is returned.
 
         Raises:
             NotThere: If the robot has no such variable.
@@ -186,9 +196,9 @@ class Variables(StrictAttributes, Declarations, Closing):
             return table.words(identity)
 
     def __setitem__(self, name: str, value: ArrayLike) -> None:
-        """Set a write variable to an integer, or to as many integers as it has words.
+        """Set a write variable to an integer, or to a sequence with one integer for each word.
 
-        The next sync sends it.
+        The next sync sends the value.
 
         Raises:
             NotThere: If the robot has no such write variable.
@@ -206,14 +216,14 @@ class Variables(StrictAttributes, Declarations, Closing):
         return name in database.read or name in database.write
 
     def __iter__(self) -> Iterator[str]:
-        """The names of all variables, read variables first."""
+        """Iterate over the names of all variables, read variables first."""
         return iter(self._known().names())
 
     def _ipython_key_completions_(self) -> list[str]:
         return [] if self._transport is None else self._known().names()
 
     def stamp(self, name: str) -> TimeStamp:
-        """Time at which a variable was last set, on the clock of the side that set it.
+        """Return the time at which a variable was last set, on the clock of the side that has set it.
 
         Raises `NotThere`.
         """
@@ -223,11 +233,11 @@ class Variables(StrictAttributes, Declarations, Closing):
             return table.stamp(identity)
 
     def updated(self, name: str) -> bool:
-        """Whether a read variable was in the last batch, or a write variable has yet to be sent.
+        """Whether a read variable was in the last batch, or whether a write variable still has to be sent.
 
         Raises `NotThere`.
 
-        A server of the original sends a variable in every batch once it has been set. `fresh` shows real updates.
+        The original server sends a variable in every batch after it has been set once. `fresh` shows real updates.
         """
         return self._flag(name, "updated")
 
@@ -297,7 +307,7 @@ class Variables(StrictAttributes, Declarations, Closing):
         return self._known().discarded
 
     def sync(self, timeout: float | None = None) -> None:
-        """Send the set values and receive the robot's values, in one round trip at its next tick.
+        """Send the set values, and receive the robot's values, in one round trip at the robot's next tick.
 
         If the connection was lost, `sync` first reconnects, repeats the handshake and finds the variables by name. If
         `sync` finds the connection lost or cannot reconnect, it discards the values that were set before, unless
@@ -309,8 +319,8 @@ class Variables(StrictAttributes, Declarations, Closing):
 
         Raises:
             LinkTimeout: If the answer does not arrive in time. The connection stays open, and the next sync waits for
-                the answer. Also raised immediately if a signal handler calls `sync` while it interrupts a sync of its
-                own thread; the next sync then sends the values.
+                the answer. Also raised immediately if a signal handler has interrupted a sync of its own thread and
+                calls `sync`; the next sync then sends the values.
             ConnectionLost, PacketError: If the connection ends. The next sync reconnects.
             AccessDenied, WrongVariables, ConnectFailed, WrongPeer: If reconnecting fails.
             Closed: If the robot object was closed.
@@ -321,15 +331,15 @@ class Variables(StrictAttributes, Declarations, Closing):
         if timeout is not None:
             seconds = check_seconds(timeout, "timeout", positive=True, finite=True)
         self._home.check()
-        # One deadline for the whole call: waiting for another thread, connecting, and each receive share it.
+        # Use one deadline for the whole call, including waiting for another thread, connecting, and each receive.
         until = clock.now() + seconds
         otherwise = f"{self.address}: another thread has been in sync() for {seconds:g} s"
         with alone(self._exchange, seconds, otherwise):
             if self._closing.is_set():
                 raise Closed(f"{self._address} was closed")
             self._sync(replica, until)
-            # Before another thread syncs: its sync would clear the `fresh` flags, and updates must be delivered in
-            # order.
+            # Do this before another thread syncs. Its sync would clear the `fresh` flags, and updates must be delivered
+            # in order.
             self._subscribers.update(replica.changes, self._received)
 
     def background(self, period: float | None = None, *, backoff: Backoff | None = None) -> SyncThread:
@@ -388,7 +398,7 @@ class Variables(StrictAttributes, Declarations, Closing):
             Closed: If the robot object was closed.
         """
         replica = self._known()
-        # If the robot lacks a name, the callback would never be called, and no error would show it.
+        # Check the names: if the robot lacked one of them, the callback would never be called, without any error.
         for name in names:
             replica.find(name)
         return self._subscribers.subscribe(
@@ -417,8 +427,8 @@ class Variables(StrictAttributes, Declarations, Closing):
         """Disconnect, and end the sync thread and every subscription, within `timeout` seconds.
 
         Wait up to 0.7 s until the robot's side has acknowledged the data that the last sync sent. The robot receives no
-        message: its values stay as they were last sent, until it notices that its master has disconnected. Idempotent,
-        from any thread.
+        message: its values stay as they were last sent, until it notices that its master has disconnected. A robot
+        with MQTT is stopped instead, with the commands ``rc 0 0`` and ``stop``. Idempotent, from any thread.
 
         Raises:
             BadRecording: If the disk failed during recording.
@@ -427,19 +437,20 @@ class Variables(StrictAttributes, Declarations, Closing):
             return
         timeout = check_seconds(timeout, "timeout")
         until = clock.now() + timeout
-        # This order matters: when closing the transport wakes a thread in `sync`, it finds the flag and raises Closed.
+        # The order is important: when closing the transport wakes a thread in `sync`, this thread finds the flag and
+        # raises Closed.
         self._closing.set()
         self._transport.close()
         if self._sync_thread is not None:
             self._sync_thread.close(timeout)
-        if self._state is not ConnectionState.CLOSED:
-            self._tell(ConnectionState.CLOSED)
+        self._tell(ConnectionState.CLOSED)
         self._subscribers.close(until)
         if isinstance(self._transport, RecordedTransport):
             self._transport.finish()
 
     def __del__(self) -> None:
-        # A connection that was never made needs no warning, nor does one that was closed in a parent process.
+        # No warning is needed if the connection was never made, or if this is a forked child of the process that made
+        # it.
         if self._connection is not None and not self._closing.is_set() and self._home.is_here:
             try:
                 warnings.warn(f"{self!r} was dropped without close()", ResourceWarning, source=self, stacklevel=2)
@@ -485,8 +496,8 @@ class Variables(StrictAttributes, Declarations, Closing):
         try:
             connection = self._connection or self._open(until)
             replica.begin_round()
-            # First deliver batches that have already arrived. An unsolicited batch left in the buffer would be taken
-            # for the reply to this request, and each later reply for the reply to the next request.
+            # First deliver batches that have already arrived. If an unsolicited batch stayed in the buffer, it would be
+            # read as the reply to this request, and each later reply as the reply to the next request.
             connection.take_waiting(until)
             connection.collect(until)
             replica.answered()
@@ -518,7 +529,7 @@ class Variables(StrictAttributes, Declarations, Closing):
         except RemoteError:
             connection.abort()
             raise
-        if self._closing.is_set():  # closed during connecting: `close` could not see this connection
+        if self._closing.is_set():  # closed during connecting, so `close` could not close this connection
             connection.abort()
             raise Closed(f"{self._address} was closed")
         self._connection = connection
@@ -537,7 +548,10 @@ class Variables(StrictAttributes, Declarations, Closing):
         self._tell(ConnectionState.LOST, error)
 
     def _tell(self, state: ConnectionState, error: Exception | None = None) -> None:
-        if self._closing.is_set() and state is not ConnectionState.CLOSED:
-            return  # `close` interrupted this sync
-        self._state = state
-        self._subscribers.tell(ConnectionEvent(state, self._address, error, Stamp.now()))
+        with self._telling:
+            if self._state is ConnectionState.CLOSED or (
+                self._closing.is_set() and state is not ConnectionState.CLOSED
+            ):
+                return  # told already, or `close` interrupted this sync
+            self._state = state
+            self._subscribers.tell(ConnectionEvent(state, self._address, error, Stamp.now()))

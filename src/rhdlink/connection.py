@@ -1,4 +1,4 @@
-"""One connection to a server: performs the handshake, and exchanges one batch per request."""
+"""Connection to a server, which performs the handshake and exchanges one batch per request."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MOST_UNSOLICITED_WAIT = 0.1
 
 
 class Transport(Protocol):
-    """The transport of a connection: `linkcore.net.transport.TcpTransport`."""
+    """The transport of a connection: `linkcore.net.transport.TcpTransport`, or `rhdlink.mqtt.transport`."""
 
     name: str
 
@@ -50,7 +50,7 @@ class Transport(Protocol):
 
 
 class Connection:
-    """A connection to a server that has granted access.
+    """Connection to a server that has granted access.
 
     A server of the original sends one unsolicited batch at its first tick after the handshake, unless a request arrives
     before that tick (docs/protocols/rhd.md, The unsolicited batch). A client that takes this batch for the reply to a
@@ -132,7 +132,7 @@ class Connection:
             raise ConnectFailed(f"{error} before sending a byte; are all its client slots in use?") from error
         except LinkTimeout as error:
             raise LinkTimeout(
-                f"{transport.name}: no handshake in time; received {decoder.waiting} bytes of it"
+                f"{transport.name}: the handshake did not arrive in time; received {decoder.waiting} bytes of it"
             ) from error
         except PacketError as error:
             # An error at the first byte means another kind of server, such as SSH or HTTP, rather than a faulty RHD
@@ -194,7 +194,7 @@ class Connection:
             ConnectionLost: If the connection is lost.
             PacketError: If the reply cannot be decoded.
         """
-        # Set this only when no reply is outstanding: until then a batch cannot be assigned to a request.
+        # Set this only when no reply is outstanding, because until then it is unknown to which request a batch belongs.
         while self._outstanding:
             self._take(*self._transport.receive(_left(until)))
             self._has_answered = not self._outstanding

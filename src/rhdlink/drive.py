@@ -1,4 +1,4 @@
-"""Motions of a mobile robot without a script: lines, turns, arcs, poses and walls."""
+"""Motions of a mobile robot without a script: straight lines, turns, arcs, poses, and following lines and walls."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import itertools
 import math
 import os
 import threading
-from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -46,7 +45,7 @@ _CLOSE_TIMEOUT = 5.0
 
 
 class _Command(NamedTuple):
-    """Request of a motion.
+    """Request for a motion.
 
     Attributes:
         number: Number of the request, in the order in which motions were requested.
@@ -62,15 +61,16 @@ class _Command(NamedTuple):
 
 
 class _Motions:
-    """The program of a `Drive`: it executes the motion that was requested last."""
+    """Program of a `Drive`, which executes the motion that was requested last."""
 
-    #: A drive has no script.
+    #: A drive has no script, so there is no run.
     run: Run | None = None
 
     def __init__(self, control: MotionControl) -> None:
         self._control = control
         # No lock is used, because a signal handler might stop the robot while its own thread requests a motion.
-        self._requested: deque[_Command] = deque()
+        # Any thread adds to this list. Only the driving thread removes items, or every thread after its end.
+        self._requested: list[_Command] = []
         self._numbers = itertools.count(1)
         self._newest = 0  # number of the newest motion that has begun, or was preempted
         self._current: _Command | None = None
@@ -82,13 +82,13 @@ class _Motions:
         return not self._requested and self._current is None
 
     def number(self) -> int:
-        """Number of a request. Take it at the start of the call."""
+        """Return the number for a new request. Call this at the start of the call that requests the motion."""
         return next(self._numbers)
 
     def put(self, command: _Command) -> None:
         """Begin a motion in the next cycle.
 
-        It preempts all motions that were requested earlier, but no later one.
+        The motion preempts all motions that were requested earlier, but none that was requested later.
         """
         self._requested.append(command)
         for each in list(self._requested):
@@ -100,14 +100,15 @@ class _Motions:
     def _refuse(self, error: Exception) -> None:
         while self._requested:
             with contextlib.suppress(IndexError):  # another thread has removed it
-                self._requested.popleft().life.fail(error)
+                self._requested.pop(0).life.fail(error)
 
     def _next(self) -> _Command | None:
         """Take the newest request if it is newer than the running motion.
 
         The other requests are cancelled.
         """
-        requested = [self._requested.popleft() for _ in range(len(self._requested))]
+        requested = list(self._requested)
+        del self._requested[: len(requested)]  # a request that was added meanwhile stays
         new = max(requested, key=lambda each: each.number, default=None)
         if new is not None and new.number < self._newest:
             new = None
@@ -119,7 +120,7 @@ class _Motions:
         return new
 
     def step(self) -> bool:
-        """Perform one cycle. Return False, because another motion can always follow."""
+        """Perform one cycle. Return False (not ended), because another motion can always follow."""
         new, current = self._next(), self._current
         if new is not None:
             self._current = None
@@ -154,7 +155,7 @@ class _Motions:
 
 
 class Drive(StrictAttributes, Closing):
-    """Drives a robot with motions. A context manager that closes itself::
+    """Driver that moves a robot with single motions. Use it as a context manager::
 
         with rhdlink.Drive(robot) as drive:
             drive.forward(0.5).wait()
@@ -390,15 +391,15 @@ class Drive(StrictAttributes, Closing):
             self._motions.end(Closed(f"{self._link.name}: the drive has ended; create a new Drive"))
 
     def _rest(self) -> None:
-        """Stop the robot's time until there is a motion."""
+        """In lockstep, stop advancing the robot's time until a motion is requested."""
         while self._motions.is_idle and not self._closing.is_set():
             clock.wait(self._wake.wait)
             self._wake.clear()
 
     @property
     def _stands(self) -> bool:
-        """Whether its speed is zero, and the robot has received the zero speed."""
-        return not self._vehicle.outputs.has_speed and self._execution.is_told
+        """Whether the commanded speed is zero, and the robot has received this command."""
+        return not self._vehicle.outputs.has_speed and self._execution.is_unchanged
 
     def close(self) -> None:
         """Stop the robot and end the drive. Idempotent.

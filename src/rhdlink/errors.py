@@ -1,4 +1,4 @@
-"""Exceptions of robots and missions, in addition to the exceptions of `linkcore.errors`.
+"""Exceptions for robots and missions, in addition to the exceptions in `linkcore.errors`.
 
 Branches of the tree in `linkcore.errors`::
 
@@ -76,7 +76,7 @@ class BadMission(LocalError, ValueError):
 
 
 class MissionFailed(LocalError):
-    """A mission ended because a line failed, or because something that it needs is missing.
+    """A mission ended because a line failed, or because something that the mission needs is missing.
 
     Attributes:
         line: Line in the file, counted from 1; 0 if no line caused the error.

@@ -1,4 +1,4 @@
-"""`load`: read a recording of a robot as columns, one for each variable."""
+"""Function `load`, which reads a recording of a robot as columns, one for each variable."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .variables.declarations import Declaration, Declarations
 
 
 class RobotTable(Table):
-    """Recorded values of a robot: a row for each batch that it sent, a column for each variable."""
+    """Recorded values of a robot, with a row for each batch that the robot sent, and a column for each variable."""
 
     def export(
         self,
@@ -34,7 +34,7 @@ class RobotTable(Table):
     ) -> Path:
         """Write the table to a file in another format.
 
-        The complete file replaces one of the same name.
+        The complete file replaces an existing file with the same name.
 
         Args:
             path: Path of the file. Its suffix selects the format; `rhdlink export --help` lists the formats.
@@ -89,7 +89,7 @@ def load(
                 begins.append(len(rows))
                 if [list(table) for table in tables] != [list(table) for table in (database.write, database.read)]:
                     raise BadRecording(
-                        f"{path}: in connection {moment.connection}, the variables of the robot are different"
+                        f"{path}: the robot has other variables in connection {moment.connection} than before"
                     )
             database = moment.database
             rows.append(b"".join(bytes(table.memory) for table in tables))
@@ -125,7 +125,7 @@ def _add_words(
 ) -> None:
     """Add a column for each variable of a table.
 
-    `words` has its values, shape (n, words of the table).
+    `words` contains the values of the table, shape (n, words of the table).
     """
     for identity, row in enumerate(table):
         if table.find(row.name) != identity:
@@ -138,7 +138,7 @@ def _add_words(
 
 
 def _typed(declaration: Declaration[Any, Any], words: NDArray[np.int32], order: Any) -> NDArray[Any]:
-    """Values of a variable in each row, in its declared type."""
+    """Return the values of a variable in each row, in its declared type."""
     count = len(words)
     words = words.reshape(count, -1)
     if declaration.length != words.shape[1]:

@@ -1,6 +1,6 @@
-"""Recorded connections in linkcore's format.
+"""Recording of connections in the format of linkcore.
 
-The bytes are written as they arrive, and played batch by batch.
+The bytes are written when they arrive, and are replayed batch by batch.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ CHANNEL = "rhd"
 
 
 class RecordedTransport:
-    """A transport that records the bytes that another transport receives.
+    """Transport that records the bytes which another transport receives.
 
     The file is created when the first connection is made, so that a failed attempt leaves no file. If the disk fails
     later, the connection continues, and `finish` raises the error.
@@ -121,7 +121,7 @@ class Moment:
         database: All values known at that time. The next moment changes this object.
         width: Number of 32-bit words of a time stamp.
         connection: Number of the connection, counted from 1.
-        is_handshake: Whether it is the first batch of its connection.
+        is_handshake: Whether the batch is the first of its connection.
     """
 
     received: Stamp
@@ -131,7 +131,7 @@ class Moment:
     is_handshake: bool
 
     def update(self, names: frozenset[str] | None = None) -> Update:
-        """Variables whose time stamp or value has changed; only `names`, unless it is None."""
+        """Return the variables whose time stamp or value has changed; only `names`, unless it is None."""
         return Update(changes_in(self.database, names, VariableTable.words), self.received)
 
 

@@ -1,4 +1,4 @@
-"""The client's copy of a robot's variables, which each batch updates."""
+"""Copy of a robot's variables in the client. Each batch from the robot updates it."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Replica:
         raise NotThere(f"{self._robot} has no variable {name!r}{similar(name, self.names())}")
 
     def names(self) -> list[str]:
-        """Names of all variables, read variables first."""
+        """Return the names of all variables, read variables first."""
         return [row.name for row in (*self.database.read, *self.database.write)]
 
     def find_to_set(self, name: str) -> tuple[VariableTable, int]:
@@ -111,7 +111,7 @@ class Replica:
     # -- all of them ---------------------------------------------------------------------------
 
     def snapshot(self) -> Iterator[Variable]:
-        """All variables with their current values, read variables first. The caller holds the lock."""
+        """Yield all variables with their current values, read variables first. The caller holds the lock."""
         for table in (self.database.read, self.database.write):
             for identity, row in enumerate(table):
                 declaration = self._declared.get((table.direction, row.name))
@@ -130,7 +130,7 @@ class Replica:
                 )
 
     def changes(self, names: frozenset[str] | None) -> dict[str, Change]:
-        """Variables that changed in the newest batch; only `names`, unless it is None.
+        """Return the variables that changed in the newest batch; only `names`, unless it is None.
 
         A variable has changed if its time stamp or value is different.
         """
@@ -138,9 +138,9 @@ class Replica:
             return changes_in(self.database, names, self._value)
 
     def _value(self, table: VariableTable, identity: int) -> Any:
-        """Value of a variable, in its declared type.
+        """Return the value of a variable, in its declared type.
 
-        Words if it is undeclared or has another length.
+        Return its words if the variable is not declared, or has another length.
         """
         row = table.rows[identity]
         declaration = self._declared.get((table.direction, row.name))
@@ -175,8 +175,8 @@ class Replica:
     def give_up(self) -> None:
         """Handle a lost or failed connection: discard unsent values, unless they must be kept.
 
-        Discarded values are never sent. A robot stops when its master has disconnected, and an old command would move
-        it again when the network is back, however late that is.
+        Discarded values are never sent. A robot stops when its master has disconnected. An old command would move the
+        robot again when the network is back, perhaps much later.
         """
         with self.lock:
             write = self.database.write
@@ -194,11 +194,11 @@ class Replica:
             _log.warning("%s: lost the values set for %s: %s", self._robot, ", ".join(map(repr, names)), reason)
 
     def begin_round(self) -> None:
-        """Let the next batch clear the flags. Until it arrives, they describe the last batch."""
+        """Let the next batch clear the flags. Until this batch arrives, the flags describe the last batch."""
         self._is_new_round = True
 
     def outgoing(self, access: str, width: int) -> bytes:
-        """Data package of a request; empty for a reader."""
+        """Return the data package of a request; empty for a reader."""
         if access != "w":
             return b""
         with self.lock:
@@ -229,7 +229,7 @@ class Replica:
                 self._measure_period()
 
     def _tick(self) -> tuple[int, float] | None:
-        """The robot's tick count and its time stamp; `tick` is variable 0 of every server."""
+        """Return the robot's tick count and its time stamp, or None; `tick` is variable 0 of every server."""
         table = self.database.read
         identity = table.find("tick")
         if identity is None:

@@ -1,20 +1,22 @@
 """Ready-made classes for the robots of docs/protocols/rhd.md, Names of variables.
 
-Scales and units are those of the original's drivers. Variables that not every robot of a kind has are optional: if one
-is missing, using it raises `NotThere`. To declare more variables, or to declare them differently, derive a class.
+Scales and units are taken from the drivers of the original. A variable is optional if some robots of a kind do not have
+it. If such a variable is missing, its use raises `NotThere`. To declare more variables, or to change declarations,
+derive a class.
 """
 
 from __future__ import annotations
 
 from .client import Variables
+from .mqtt.variables import RobobotVariables
 from .variables.declarations import Read, Write
 from .variables.value_types import Int32, Millionths, Scaled
 
-__all__ = ["Ackerman", "Gps", "Smr", "VelocityOmega"]
+__all__ = ["Ackerman", "Gps", "Robobot", "Smr", "VelocityOmega"]
 
 
 class Smr(Variables):
-    """A small mobile robot with two driven wheels."""
+    """Small mobile robot (SMR) with two driven wheels."""
 
     tick = Read(Int32, doc="number of ticks of the server")
     encl = Read(
@@ -38,7 +40,7 @@ class Smr(Variables):
 
 
 class VelocityOmega(Variables):
-    """A robot that is commanded with a speed and a turn rate, such as the iRobot ATRV-Jr."""
+    """Robot that is commanded with a speed and a turn rate, such as the iRobot ATRV-Jr."""
 
     tick = Read(Int32, doc="number of ticks of the server", optional=True)
     cmdtransvel = Write(Scaled(1e-5, unit="m/s"), doc="forward speed")
@@ -65,8 +67,12 @@ class VelocityOmega(Variables):
     errcnt = Read(Int32, optional=True)
 
 
+class Robobot(RobobotVariables, Variables):
+    """A robot of DTU with MQTT, such as the robobot; see `RobobotVariables` for its variables."""
+
+
 class Ackerman(Variables):
-    """A robot that steers like a car, such as the Hako tractor."""
+    """Robot that steers like a car, such as the Hako tractor."""
 
     tick = Read(Int32, doc="number of ticks of the server", optional=True)
     steeringangleref = Write(Scaled(3.141592653589793 / 1800, unit="rad"), doc="steering angle")
@@ -83,9 +89,9 @@ class Ackerman(Variables):
 
 
 class Gps(Variables):
-    """A robot with the GPS plugin.
+    """Robot with the GPS plugin.
 
-    Names are spelled as in the plugin, which states no units; those here are NMEA's.
+    Names are spelled as in the plugin. The plugin states no units; the units here are the units of NMEA.
     """
 
     GPSeasting = Read(Millionths, unit="m", doc="UTM")

@@ -1,4 +1,4 @@
-"""The thread that keeps a robot in sync, and the subscribers, each with a dedicated thread."""
+"""Thread that keeps a robot in sync, and the subscribers of a robot, each with a dedicated thread."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _log = logging.getLogger(__name__)
 
 
 class SyncThread(StrictAttributes, Closing):
-    """A dedicated thread that syncs until closed. A context manager that closes itself.
+    """Dedicated thread that syncs until it is closed. It can be used as a context manager.
 
-    Made by `Variables.background`. It does not keep the robot object alive: it ends when the program drops its last
-    reference to the robot.
+    `Variables.background` makes it. The thread does not keep the robot object alive, and ends when the program drops
+    its last reference to the robot.
 
     Attributes:
         syncs: Number of successful syncs.
@@ -55,7 +55,8 @@ class SyncThread(StrictAttributes, Closing):
         self._period = period
         self._backoff = backoff or Backoff()
         self._closing = ReentrantEvent()
-        # Set before the thread runs: it might fail, and log its name, before `started` returns.
+        # Set the attribute before the thread runs, because the thread might fail, and log its name, before `started`
+        # returns.
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         started(self._thread)
 
@@ -77,7 +78,7 @@ class SyncThread(StrictAttributes, Closing):
     def _run(self) -> None:
         try:
             self._sync_until_closed()
-        except BaseException as error:  # SystemExit too: otherwise no other thread would learn of it
+        except BaseException as error:  # SystemExit too; otherwise no other thread would notice it
             _log.exception("%s ended because of an exception", self._thread.name)
             self.failure = error
 
@@ -96,7 +97,7 @@ class SyncThread(StrictAttributes, Closing):
                 if self._closing.is_set():
                     return
                 self.failures += 1
-                if self.failures & (self.failures - 1) == 0:  # each power of two: the disk must not fill
+                if self.failures & (self.failures - 1) == 0:  # log only each power of two
                     _log.warning("%s: sync failed (%d failures so far): %s", self._thread.name, self.failures, error)
                 wait = next(waits, None)
                 if wait is None:
@@ -105,7 +106,7 @@ class SyncThread(StrictAttributes, Closing):
             else:
                 wait = None
                 self.syncs += 1
-                waits = self._backoff.waits()  # after a success it begins with the shortest wait again
+                waits = self._backoff.waits()  # after a success, begin with the shortest delay again
             finally:
                 del sync  # otherwise the robot object would live as long as this thread waits
             if wait is not None:
@@ -118,13 +119,13 @@ class SyncThread(StrictAttributes, Closing):
 
 
 class _Subscriber:
-    """A callback and the events that it subscribed to.
+    """Callback with the events to which it has subscribed.
 
     Args:
         event_type: Class of the events.
         queue: Queue of the callback.
-        names: Variables that it wants; None for all.
-        delivery: Calls the callback.
+        names: Names of the wanted variables; None for all.
+        delivery: Delivery that calls the callback.
     """
 
     def __init__(
@@ -139,7 +140,7 @@ class _Subscriber:
     def offer(self, event: object) -> None:
         """Put an event into the queue.
 
-        A signal handler that interrupts its own thread inside the queue leaves its event to that thread.
+        If a signal handler has interrupted its own thread inside the queue, the event is left to this thread.
         """
         with self._turn:
             self._waiting.append(event)
@@ -154,7 +155,7 @@ class _Subscriber:
 
 
 class Subscribers:
-    """All subscribers of one robot.
+    """Collection of all subscribers of one robot.
 
     Args:
         name: Address of the robot, used in error messages and thread names.
@@ -204,8 +205,8 @@ class Subscribers:
         return Subscription(delivery, lambda delivery: self._by_queue.pop(delivery.sink, None), owner)
 
     @property
-    def _subscribers(self) -> tuple[_Subscriber, ...]:
-        return tuple(self._by_queue.values())
+    def _subscribers(self) -> list[_Subscriber]:
+        return list(self._by_queue.values())
 
     def tell(self, event: object) -> None:
         """Deliver an event to the subscribers of its type."""

@@ -6,7 +6,7 @@
         print(robot.realtime.wait().q_actual)
         robot.motion.move_joints([0, -1.57, 1.57, -1.57, -1.57, 0]).wait()
 
-Importing it starts nothing and touches no network.
+Importing the package starts no thread and opens no connection.
 """
 
 from __future__ import annotations

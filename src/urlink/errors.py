@@ -1,10 +1,10 @@
 """Errors that a command to a robot can raise.
 
-They belong to two branches of `linkcore.errors`::
+The errors belong to two branches of `linkcore.errors`::
 
     LinkError
     ├── LocalError                  an error in your program
-    │   └── NotOffered              a call of another client that `urlink.compat` does not have
+    │   └── NotOffered              a call of another client library that `urlink.compat` lacks
     └── RemoteError                 the peer sent invalid data, disconnected, or refused
         ├── SafetyStop              a stop is active, or occurred during the motion; `cause` names it
         │   └── NotEnabled          nothing blocks the arm, but `safety.enable()` must be called first
@@ -25,7 +25,7 @@ from linkcore.errors import LocalError, RemoteError
 
 
 class NotOffered(LocalError, NotImplementedError):
-    """A call of another client that is not offered here; the message names what replaces it."""
+    """Error: `urlink.compat` lacks a call of another client library. The message names the replacement."""
 
 
 class SafetyStop(RemoteError):
@@ -44,7 +44,7 @@ class SafetyStop(RemoteError):
 
 
 class NotEnabled(SafetyStop):
-    """Missing call of `safety.enable()`, which the policy requires. No stop is active."""
+    """The enable policy requires a call of `safety.enable()` before the arm can move. No stop is active."""
 
 
 class NotRunning(RemoteError):
@@ -52,7 +52,7 @@ class NotRunning(RemoteError):
 
 
 class NotConfirmed(RemoteError):
-    """A setting was sent, but the robot's states did not show it in time. It might still take effect."""
+    """A setting was sent, but the robot's states did not show it in time. The setting might still take effect."""
 
 
 class ToleranceExceeded(RemoteError):
@@ -67,7 +67,7 @@ class ScriptError(RemoteError):
     """The controller reports an error in a program.
 
     Attributes:
-        line: Line number in the source text that was passed, counted from 1.
+        line: Line number in the source text that your program passed, counted from 1.
         column: Column in that line, as the controller counts.
         text: Error text of the controller, such as "compile_error_name_not_found:txtmsg:".
     """
@@ -95,7 +95,7 @@ class StatementDiscarded(RemoteError):
 
     Attributes:
         statement: Text of the statement, as it was sent.
-        number: Number that the controller gave the statement.
+        number: Number that the controller assigned to the statement.
     """
 
     def __init__(self, statement: str, number: int) -> None:

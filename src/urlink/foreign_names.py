@@ -1,6 +1,6 @@
 """Names of URScript, ur_rtde, urx and the other interfaces of a controller, with their equivalents in urlink.
 
-`linkcore.names` looks up here the names that a public object does not have.
+If a program uses a name that a public object does not have, `linkcore.names` looks up the name here.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from linkcore.names import Elsewhere
 if TYPE_CHECKING:
     from linkcore.wire.packet import State
 
-#: Call of urlink -> equivalent names of other libraries, in lower case and without underscores.
+#: Calls of urlink, and the equivalent names of other libraries, in lower case and without underscores.
 _NAMES = {
     "robot.motion.move_joints(q)": "movej",
     "robot.motion.move_joints(robot.kinematics.inverse(pose, near))": "movejik",
@@ -172,7 +172,7 @@ def name_on(interface: str, name: str) -> str | None:
 
 
 def hint_other_interfaces(kind: type[State], interface: str) -> None:
-    """Make a packet class raise an error with a hint for names that its quantities have on other interfaces."""
+    """Let a packet class raise an error with the correct name, for each name of a field on another interface."""
     for name in {*_SHORT, *(part for row in _ROWS for part in (*row[:2], row[2].rpartition(".")[2]))}:
         own = name_on(interface, name)
         field = None if own is None else own.rpartition(".")[2] if kind.FIELDS else own

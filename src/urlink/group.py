@@ -1,6 +1,6 @@
-"""Groups of arms: their motions start, run and end together, and their states are read on one clock.
+"""Groups of arms, with motions that start, run and end together, and with states that are matched by time.
 
-Each arm is driven by its own program, as with `follow`. The trajectories share one time
+Each arm is driven by its own program, as with `Motions.follow`. All trajectories use a common time
 (`urlink.motion.stream.common_time`). If the motion of one arm ends early, all arms stop.
 """
 
@@ -36,7 +36,7 @@ from .robot import Robot
 
 #: Peak speed and peak acceleration of the quintic from 0 to 1 in one second, at rest at both ends.
 _PEAK_SPEED, _PEAK_ACCELERATION = 1.875, 10.0 / math.sqrt(3.0)
-#: Minimum duration of a motion in s, which applies to arms that are already at their goal.
+#: Minimum duration of a motion, in s. This duration is used if the arms are already at their goals.
 _SHORTEST = 0.1
 #: Number of states of one arm that are queued until the states of the other arms arrive.
 WAITING = 64
@@ -49,9 +49,9 @@ class Group(StrictAttributes):
             both = urlink.Group(left, right)
             both.follow([reach_left, reach_right]).wait()
 
-    Motions start at the same moment, according to the clocks of the controllers (`Robot.clock`). They run as fast as
-    the slowest program, which depends on its speed slider, a pause, and the limits of its controller. If the motion of
-    one arm ends early (a stop, an error, another motion, `cancel`), all arms stop.
+    Motions start at the same moment, according to the clocks of the controllers (`Robot.clock`). All motions run at the
+    pace of the slowest program. The pace of a program depends on its speed slider, on pauses, and on the limits of its
+    controller. If the motion of one arm ends early (a stop, an error, another motion, `cancel`), all arms stop.
 
     Args:
         robots: Robots of the group: at least two, each only once.
@@ -92,8 +92,9 @@ class Group(StrictAttributes):
     ) -> GroupMotion:
         """Follow one trajectory with each arm, on a common time.
 
-        The arms start 50 ms after the last arm is at rest and its program has connected. If the program of one arm is
-        paused, all arms halt. When it resumes, this arm catches up with the others by a tenth of the speed.
+        The arms start 50 ms after all arms are at rest and all programs have connected. If the program of one arm is
+        paused, all arms halt. When the program resumes, its arm moves up to a tenth faster until it has caught up with
+        the others.
 
         Args:
             trajectories: One trajectory for each arm; see `Motions.follow`. Their durations can differ.
@@ -155,14 +156,14 @@ class Group(StrictAttributes):
     ) -> GroupMotion:
         """Move each arm to joint positions, straight in joint space. All arms arrive at the same time.
 
-        Each arm starts at its current position. The call is a `follow` of quintic trajectories that are at rest at both
-        ends, so no joint exceeds the speed or the acceleration.
+        Each arm starts at its current position. The call uses `follow` with quintic trajectories that are at rest at
+        both ends, so no joint exceeds the speed or the acceleration.
 
         Args:
             q: Goal joint positions of each arm, shape (6,), in rad.
             speed: Speed of the fastest joint of all arms, in rad/s.
             acceleration: Acceleration of the joint with the highest acceleration, in rad/s².
-            time: Duration in seconds. It cannot be combined with `speed` or `acceleration`.
+            time: Duration in seconds. `time` cannot be combined with `speed` or `acceleration`.
             wait: See `Motions`.
 
         Raises:
@@ -207,7 +208,7 @@ class Group(StrictAttributes):
         gain: float = 300.0,
         link: LinkName = "reverse",
     ) -> GroupStream:
-        """Return a stream of timed points for all arms, which are appended while the arms move.
+        """Return a stream for all arms. Your program appends timed points to it while the arms move.
 
         Use it as a ``with`` block::
 
@@ -223,7 +224,7 @@ class Group(StrictAttributes):
             buffer, acceleration, jerk, watchdog, lookahead_time, gain, link: Options of each arm; see `Motions.stream`.
 
         Raises:
-            LocalError: If one of the arms raises it; see `Motions.stream`.
+            LocalError: If `Motions.stream` would raise this error for one of the arms.
         """
         common = CommonPace()
         streams = []
@@ -244,7 +245,7 @@ class Group(StrictAttributes):
     def stop(self, acceleration: float = 2.0, *, wait: bool | float = False) -> None:
         """Stop all arms with the deceleration `acceleration`, in rad/s².
 
-        The stop is sent to every arm, even if it cannot be sent to another one.
+        The stop is sent to every arm, even if sending it to another arm fails.
 
         Raises:
             LinkError: If the stop cannot be sent to an arm. The error of the first such arm is raised.
@@ -290,9 +291,10 @@ class Group(StrictAttributes):
     def states(self, timeout: float | None = 5.0) -> Iterator[tuple[RealtimeState, ...]]:
         """Iterate over the newest states of all arms at the same moment, matched by the clocks of the controllers.
 
-        The slowest controller sets the moments (the first one, if several are equally slow). From each other arm, the
-        state nearest to the moment is taken. It differs by at most half a cycle of that arm, plus the errors of both
-        clocks (`RobotClock.bound`). Moments without a state from every arm are skipped.
+        Each moment is the time of a state of the slowest controller (the first one, if several are equally slow). For
+        each other arm, the state nearest to this moment is used. The time of this state differs by at most half a cycle
+        of that arm, plus the errors of both clocks (`RobotClock.bound`). Moments without a state from every arm are
+        skipped.
 
         Args:
             timeout: Longest time to wait for a state of each arm, in seconds; None waits forever.
@@ -302,7 +304,7 @@ class Group(StrictAttributes):
 
         Raises:
             LinkTimeout: If no state of an arm arrives in time.
-            RemoteError, LocalError: If `Stream.iterate` would raise it.
+            RemoteError, LocalError: See `Stream.iterate`.
         """
         moments = self._moments()
         others = {each: self.robots[each].realtime.iterate(drop_oldest(WAITING), timeout) for each in moments.others}
@@ -324,7 +326,7 @@ class Group(StrictAttributes):
 
 
 class Moments:
-    """Match of the states of several arms at the same moment, in the time of this computer.
+    """Matching of states of several arms at the same moment, in the time of this computer.
 
     The times of successive states must increase.
 
@@ -333,7 +335,7 @@ class Moments:
             monotonic time, and the number of states per second.
 
     Attributes:
-        first: Index of the arm whose states set the moments: the first of the slowest arms.
+        first: Index of the arm that sets the moments with its states: the first of the slowest arms.
         others: Indices of the other arms.
     """
 
@@ -346,7 +348,7 @@ class Moments:
         self._around = dict.fromkeys(self.others, (None, None))
 
     def lacking(self, state: RealtimeState) -> int | None:
-        """Return the index of an arm whose next state is needed to match `state` of the first arm, or None."""
+        """Return the index of an arm that has no state after `state` of the first arm yet; None if all have one."""
         local = self._local(self.first, state)
         for number, (_, after) in self._around.items():
             if after is None or self._local(number, after) < local:
@@ -358,7 +360,7 @@ class Moments:
         self._around[number] = self._around[number][1], state
 
     def at(self, state: RealtimeState) -> tuple[RealtimeState, ...] | None:
-        """Return the states of all arms nearest to a state of the first arm; None if an arm has no near state."""
+        """Return the states of all arms nearest in time to `state` of the first arm; None if one is too far away."""
         local, found = self._local(self.first, state), {self.first: state}
         for number, around in self._around.items():
             off = {abs(self._local(number, each) - local): each for each in around if each is not None}

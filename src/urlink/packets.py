@@ -4,7 +4,8 @@
 
     robot.primary.subscribe(on_mode, RobotModeData)
 
-The module also has the raw bytes of a connection, and the replies of the dashboard, the gripper and interpreter mode.
+The module also contains classes for raw bytes of a connection, and for replies of the dashboard, the gripper and
+interpreter mode.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 
 class View(Protocol):
-    """A web page that shows an arm, made by the package ``urlink-view``. A context manager."""
+    """Web page that shows an arm, made by the package ``urlink-view``. A context manager."""
 
     @property
     def address(self) -> str:
@@ -70,40 +70,43 @@ class View(Protocol):
 def connect(options: ConnectOptions) -> Robot:
     """Connect to a robot, to the simulator, or to a recording.
 
-    The call reads the identity of the controller. The streams connect when they are first used. If this process
-    abandoned commands at the same address that the controller might still execute, the call first waits until they are
-    undone, for at most `timeout` seconds; see docs/motion-ends.md. A connection with `read_only` undoes nothing.
+    The call reads the identity of the controller. The streams connect when they are first used. This process might have
+    abandoned commands that the controller at this address could still execute. In this case, the call first waits until
+    these commands are undone, for at most `timeout` seconds; see docs/motion-ends.md. A connection with `read_only`
+    undoes nothing.
 
     Args:
-        address: Address of the robot, for example ``"192.168.56.101"``, ``"ur://host"``, ``"sim://ur5e?firmware=5.11"``
-            or ``"replay:///path/run.urlog?rate=2"``. It may also be the path of a recording, such as ``"run.urlog"`` or
-            any `pathlib.Path`.
+        address: Address of the robot, for example ``"192.168.56.101"``, ``"ur://host"``,
+            ``"sim://ur5e?firmware=5.11"`` or ``"replay:///path/run.urlog?rate=2"``. The address may also be the path
+            of a recording, such as ``"run.urlog"`` or any `pathlib.Path`.
         timeout: Maximum time to make any connection, in seconds.
         read_only: Whether to use ports 30011 to 30013, which accept no commands.
         backoff: Waiting times between attempts of a stream to reconnect.
-        silence: Longest time without a packet, in seconds. After it, a stream counts as disconnected.
+        silence: Longest time without a packet, in seconds. After this time, a stream counts as disconnected.
         require_enable: Whether `robot.safety.enable()` must be called before the arm can be moved: "never",
             "on_startup" (once) or "always" (at first and after every stop).
-        stale_after: Longest time without a packet from the robot, in seconds. After it, motions end with `NotRunning`
-            and new motions are refused.
+        stale_after: Longest time without a packet from the robot, in seconds. After this time, motions end with
+            `NotRunning` and new motions are refused.
         start_timeout: Longest time until an uploaded program starts, in seconds. A program that starts later gets no
             start permission, and ends without moving the arm.
         start_register: Number of the integer output register, 0 to 47, for the start permission of a program. All
-            clients that use this library may share one register; no other program may use it. None uses the flags
-            instead.
-        start_flags: Numbers of the flags, 0 to 31, that carry the start permission on firmware before 3.9 and 5.3,
-            which lacks the register. The more flags, the less likely it is that the permission of another client
-            starts an abandoned program. With neither register nor flags, each program starts when the controller reads
-            it, however late that is. A motion whose handle failed long ago can then still be executed.
-        reverse_host: Address of this computer as seen by the robot, for streamed set-points. None derives it from the
-            route to the robot.
+            clients that use this library may share one register; no other program may use it. If None, the flags are
+            used instead.
+        start_flags: Numbers of the flags, 0 to 31, that carry the start permission on firmware that lacks the register
+            (before 3.9 on CB3, before 5.3 on e-Series). With more flags, it is less likely that the permission of
+            another client starts an abandoned program. With neither register nor flags, each program starts when the
+            controller reads it, even if that is very late. In this case, the controller can still execute a motion
+            long after its handle has failed.
+        reverse_host: Address of this computer as seen by the robot, for streamed set-points. If None, the address is
+            derived from the route to the robot.
         reverse_port: Port on this computer for connections from the robot; 0 for a free port.
         reverse_peer: Source address of the robot's connections; None for the address of the robot. A simulator in a
             container might connect from another address.
-        commands_via: How outputs and the speed slider are set. "auto" uses RTDE if the controller has it and no other
-            client holds the inputs, and a script otherwise. "script" never claims an RTDE input.
+        commands_via: Interface that sets outputs and the speed slider. "auto" uses RTDE if the controller has RTDE and
+            no other client has claimed the inputs; otherwise it uses a script. "script" never claims an RTDE input.
         isolate: Whether to read the real-time interface in a dedicated process. The newest state is then available at
-            any time, even if your program holds the interpreter lock for long. Not supported on Windows.
+            any time, even if your program holds the lock of the Python interpreter (GIL) for a long time. Not supported
+            on Windows.
 
     Raises:
         BadAddress: If the address is invalid.
@@ -111,7 +114,8 @@ def connect(options: ConnectOptions) -> Robot:
         BadValue: If a time is not positive, a policy or port does not exist, or the simulated arm does not run the
             firmware.
         UnknownModel: If there is no such arm to simulate.
-        ConnectFailed, ConnectionLost, LinkTimeout, WrongPeer: If no controller is at the address, or another server.
+        ConnectFailed, ConnectionLost, LinkTimeout, WrongPeer: If there is no controller at the address, or if another
+            kind of server replies.
     """
     if isinstance(options.place, RecordingAddress):
         refusal = f"{options.name} is a recording, so it cannot be commanded"
@@ -136,8 +140,8 @@ def simulated(place: SimulatorAddress) -> tuple[Controller, RobotAddress]:
     """Start a simulated controller, and return it with its address.
 
     Raises:
-        UnknownModel, BadValue: If there is no such arm, it does not run the firmware, the file belongs to another arm,
-            or the scene file does not exist.
+        UnknownModel, BadValue: If the arm does not exist or does not run the firmware, if the file belongs to another
+            arm, or if the scene file does not exist.
         LocalError: If no adapter for the scene is installed, or the adapter cannot open the scene.
     """
     from .arm.arm_file import read_arm_file
@@ -159,13 +163,13 @@ def assemble(
     controller: Controller | None,
     known: Identity | None = None,
 ) -> Robot:
-    """Return a robot on the network, with the objects that command it.
+    """Return the `Robot` for a robot on the network, with the objects that command this robot.
 
     Args:
         known: Identity of the controller; None to ask the controller.
 
     Raises:
-        RemoteError: If no controller is at the address, or another server.
+        RemoteError: If there is no controller at the address, or if another kind of server replies.
     """
     address = options.name
 
@@ -183,7 +187,7 @@ def assemble(
 
 
 def peers_of(place: RobotAddress) -> tuple[Hashable, ...]:
-    """Return keys that identify a controller, and its services that can be used without a robot."""
+    """Return keys that identify a controller, and keys that identify its services for clients without a `Robot`."""
     services = ("dashboard", "robot_api", "gripper")
     parts = (service_of(place.host, place.ports[name]) for name in services if name in place.ports)
     return (place.host.casefold(), frozenset(place.ports.items())), *parts
@@ -195,7 +199,7 @@ def owes(robot: Robot, place: RobotAddress) -> bool:
 
 
 def undo_abandoned(robot: Robot, timeout: float) -> None:
-    """Wait up to `timeout` seconds until abandoned commands are undone. The open robot keeps trying after that."""
+    """Wait up to `timeout` seconds until abandoned commands are undone. The open robot retries after this time."""
     robot._commanded().settle(timeout)
 
 
@@ -241,7 +245,7 @@ class Robot(StrictAttributes, Closing):
 
     @property
     def primary(self) -> Stream[RobotState]:
-        """Stream of `RobotState` at 10 Hz (port 30001); its parts and messages are available by class or `of`."""
+        """Stream of `RobotState` at 10 Hz (port 30001). Select its parts and messages by class with `of`."""
         return self._stream("primary")
 
     @property
@@ -261,7 +265,7 @@ class Robot(StrictAttributes, Closing):
         if rtde is None:
             from .rtde import Rtde
 
-            who = self._who  # a reference to `self` would be a cycle, because it holds the new object
+            who = self._who  # a reference to `self` would be a cycle, because `self` holds the new object
             made = Rtde(self.address, self._source, lambda: who.identity.firmware, refusal=self._refusal)
             rtde = self._rtde.keep(made)
             if self._is_closed:
@@ -297,9 +301,9 @@ class Robot(StrictAttributes, Closing):
         """Forward and inverse kinematics of this individual arm, in the base frame of the controller.
 
         Firmware 1.8 or later sends the calibrated DH parameters when a connection starts. With these parameters, the
-        results agree with the controller (`Arm.is_calibrated`). If none were received, or a recording has none, the
-        published parameters of the model are used. The TCP that is set on the controller is not included: pass it as
-        ``tcp=``.
+        results agree with the controller (`Arm.is_calibrated`). If no parameters were received, or a recording does not
+        contain them, the published parameters of the model are used. The TCP that is set on the controller is not
+        included: pass it as ``tcp=``.
 
         After a reconnect, the first access asks the controller again, as for `firmware`.
 
@@ -314,7 +318,7 @@ class Robot(StrictAttributes, Closing):
         """Simulator behind a ``sim://`` address: its faults, its inputs and its arm.
 
         Raises:
-            LocalError: If this robot is not simulated by `connect`.
+            LocalError: If `connect` did not start a simulator for this robot.
         """
         if self._controller is None:
             raise LocalError(
@@ -341,7 +345,8 @@ class Robot(StrictAttributes, Closing):
         """
         streams = [("rtde", each) if isinstance(each, Stream) else (each, self._stream(each)) for each in interfaces]
         if len({name for name, _ in streams}) < len(streams):
-            raise BadValue(f"interfaces has {', '.join(name for name, _ in streams)}; expected each of them only once")
+            given = ", ".join(name for name, _ in streams)
+            raise BadValue(f"interfaces contains {given}; expected each of them only once")
         recorder = _recorder(path)
         try:
             for name, stream in streams:
@@ -350,7 +355,7 @@ class Robot(StrictAttributes, Closing):
                     {"name": name, "address": self.address, **self.identity.description(), **stream.description()},
                 )
         except BaseException:
-            # If the robot cannot be reached, no file is left behind.
+            # Delete the new file if the robot cannot be reached.
             recorder.close()
             recorder.path.unlink(missing_ok=True)
             raise
@@ -362,7 +367,8 @@ class Robot(StrictAttributes, Closing):
     def safety(self) -> Safety:
         """Interlock between motions and the arm, with its state and policy.
 
-        This and all following command properties raise `LocalError` if the connection cannot send commands.
+        The command properties of a robot, such as `safety` and `motion`, raise `LocalError` if the connection cannot
+        send commands.
         """
         return self._commanded().safety
 
@@ -395,31 +401,31 @@ class Robot(StrictAttributes, Closing):
     ) -> Interpreter:
         """Start interpreter mode: the controller executes URScript statements one by one.
 
-        The call uploads a program, which preempts the current program. It returns when the new program accepts
+        The call uploads a program, which preempts the current program. The call returns when the new program accepts
         statements. Firmware 5.10 or later is required.
 
         Args:
             start_timeout: Maximum time until the program accepts statements, in seconds.
-            finish_timeout: Time that pending statements have to finish when a ``with`` block is left, in seconds.
+            finish_timeout: Maximum time for pending statements to finish when a ``with`` block is left, in seconds.
             on_text: Function that is called with each line of `textmsg`, in the robot's callback thread.
 
         Raises:
             BadValue: If an argument is not a valid time.
             LocalError: If the firmware has no interpreter mode.
             SafetyStop, NotRunning: If the arm must not be moved now. Nothing is sent.
-            LinkTimeout: If interpreter mode does not start in time. Nothing of it is left on the controller.
+            LinkTimeout: If interpreter mode does not start in time. No program is left on the controller.
             LinkError: If interpreter mode cannot be started, or if it ends before it accepts statements.
         """
         return self._commanded().interpreters.begin(start_timeout, finish_timeout, on_text)
 
     @property
     def gripper(self) -> Gripper:
-        """Robotiq gripper whose URCap runs on the controller (port 63352). Gripper commands are not interlocked."""
+        """Robotiq gripper, over its URCap on the controller (port 63352). Gripper commands are not interlocked."""
         return self._commanded().gripper
 
     @property
     def tool_serial(self) -> ToolSerial:
-        """RS485 line in the tool connector of an e-Series, forwarded by a URCap (port 54321). Not interlocked.
+        """RS485 line in the tool connector of an e-Series, over a URCap (port 54321). Its commands are not interlocked.
 
         Raises:
             LocalError: If the controller has no such line.
@@ -438,15 +444,16 @@ class Robot(StrictAttributes, Closing):
         """Set the payload of the arm. Motions and a running program continue.
 
         Args:
-            mass: Mass in kg, at most a quarter above the payload in the arm's data sheet. A UR5e has the limit of the
-                UR7e, because both arms report the same type.
-            cog: Centre of gravity in the flange frame, shape (3,), in m, each coordinate within 1 m. Not on CB2.
+            mass: Mass in kg, at most 25 % above the payload in the data sheet of the arm. A UR5e has the limit of the
+                UR7e, because both arms report the same robot type.
+            cog: Centre of gravity in the flange frame, shape (3,), in m, each coordinate within 1 m. CB2 has no such
+                setting.
             inertia: Moments of inertia about the centre of gravity: xx, yy, zz, xy, xz, yz, in kg m². Firmware 5.10 or
                 later.
-            transition_time: Duration of the change to the new payload, in seconds, so that an arm that grips or
-                releases does not jerk. Requires `cog`, `inertia`, and firmware 5.10 or later.
-            confirm: Longest time after the transition until the robot's states show the payload, in seconds. Firmware
-                before 5.10 does not show it. None does not wait.
+            transition_time: Duration of the change to the new payload, in seconds. A gradual change avoids a jerk when
+                the arm grips or releases an object. Requires `cog`, `inertia`, and firmware 5.10 or later.
+            confirm: Longest time after the transition to wait until the robot's states show the payload, in seconds.
+                Firmware before 5.10 does not show the payload. With None, the call does not wait.
 
         Raises:
             BadValue: If a number is out of range, or this firmware does not support the setting. Nothing is sent.
@@ -460,13 +467,13 @@ class Robot(StrictAttributes, Closing):
     def set_gravity(self, acceleration: Sequence[float]) -> None:
         """Set the direction of gravity, for an arm on a wall, a ceiling or a moving base. Motions continue.
 
-        The controller uses it to compensate for the weight of the arm. With a wrong direction, the arm sags or jumps,
-        or stops with a safety stop. No state shows the setting, so it is not confirmed. An e-Series in local control
-        ignores it.
+        The controller uses this direction to compensate for the weight of the arm. With a wrong direction, the arm sags
+        or jumps, or stops with a safety stop. No state shows the setting, so it is not confirmed. An e-Series in local
+        control ignores the setting.
 
         Args:
-            acceleration: Acceleration that an arm at rest measures, shape (3,), in m/s², in the base frame. It points
-                upwards: [0, 0, 9.82] for an upright arm. Its norm must be 5 to 15.
+            acceleration: Acceleration that an arm at rest measures, shape (3,), in m/s², in the base frame. The vector
+                points upwards: [0, 0, 9.82] for an upright arm. Its norm must be 5 to 15 m/s².
 
         Raises:
             BadValue: If `acceleration` is not such a vector. Nothing is sent.
@@ -477,7 +484,7 @@ class Robot(StrictAttributes, Closing):
     def set_tcp(self, pose: Sequence[float], *, confirm: float | None = 1.0) -> None:
         """Set the tool centre point (TCP) to a pose in the flange frame: position in m, rotation vector in rad.
 
-        Firmware 3.2 or later shows the TCP in its states, so that it can be confirmed.
+        Firmware 3.2 or later shows the TCP in its states, so the call can confirm the setting.
 
         Raises:
             BadValue, NotRunning, NotConfirmed, LocalError: See `set_payload`.
@@ -487,7 +494,7 @@ class Robot(StrictAttributes, Closing):
     def set_speed_slider(self, fraction: float, *, confirm: float | None = 1.0) -> None:
         """Set the speed slider to a fraction from 0 to 1.
 
-        Firmware 3.0 or later shows the slider in its states, so that it can be confirmed.
+        Firmware 3.0 or later shows the slider in its states, so the call can confirm the setting.
 
         Raises:
             BadValue, NotRunning, NotConfirmed, LocalError: See `set_payload`.
@@ -514,12 +521,12 @@ class Robot(StrictAttributes, Closing):
             axes: Free axes x, y, z, rx, ry, rz of the frame, as six values of 0 or 1; None for all axes. Firmware 5.10
                 or later.
             frame: Frame of the axes: "base", "tool" (the current tool frame), or a pose in the base frame, shape (6,).
-            watchdog: Longest time without a message from this computer, in seconds. After it, the arm stops.
+            watchdog: Longest time without a message from this computer, in seconds. After this time, the arm stops.
             link: See `Motions.follow`.
 
         Raises:
             BadValue: If the axes or the frame are invalid.
-            LocalError: If programs on this firmware have no freedrive, or no freedrive along selected axes.
+            LocalError: If programs cannot use freedrive on this firmware, or cannot select its axes.
         """
         return self.motion._freedrive(axes, frame, watchdog, link)
 
@@ -546,8 +553,8 @@ class Robot(StrictAttributes, Closing):
         Args:
             digital_input: Number of an input that saves a waypoint each time it is switched on.
             bank: Bank of the digital input: "standard", "configurable" or "tool".
-            button: If True, the person moves the arm with its own freedrive button pressed, and each release of the
-                button saves a waypoint. No program runs in this case. RTDE is required.
+            button: If True, the person presses the freedrive button of the arm to move it. Each release of the button
+                saves a waypoint. No program runs in this case. RTDE is required.
             on_point: Function that is called with each waypoint, in the thread that saved it.
             axes, frame, watchdog, link: See `freedrive`.
 
@@ -571,7 +578,7 @@ class Robot(StrictAttributes, Closing):
         """Zero the force sensor: the current force at the TCP becomes zero. Firmware 3.0 or later.
 
         Nothing should touch the tool during the call. The controller zeroes the sensor within a few cycles, but no
-        state shows when.
+        state shows that it has done so.
 
         Raises:
             LocalError: If the firmware is older than 3.0.
@@ -610,9 +617,9 @@ class Robot(StrictAttributes, Closing):
         jog: bool = False,
         port: int = 0,
     ) -> View:
-        """Show the arm in 3D in a browser on this computer, or in the cell of a notebook.
+        """Show the arm in 3D in a browser on this computer, or in a cell of a notebook.
 
-        The view runs until it is closed, or until its ``with`` block is left. It requires the package ``urlink-view``.
+        The view runs until it is closed, or until its ``with`` block is left. The package ``urlink-view`` is required.
 
         Args:
             plots: Names of the `RealtimeState` fields to plot.
@@ -630,7 +637,7 @@ class Robot(StrictAttributes, Closing):
         shown: View = show(self, plots, urdf, jog, port)
         return shown
 
-    # -- its end -------------------------------------------------------------------------------------
+    # -- closing -------------------------------------------------------------------------------------
 
     def close(self, timeout: float = 2.0) -> None:
         """End motions, and close all streams and the simulator, within `timeout` seconds. Idempotent.
@@ -645,13 +652,13 @@ class Robot(StrictAttributes, Closing):
             control.close(timeout)
         if (rtde := self._rtde.made) is not None:
             rtde.close(clock.left(until))
-        for stream in tuple(self._streams.values()):
+        for stream in list(self._streams.values()):
             stream.close(clock.left(until))
         if self._controller is not None:
             self._controller.close()
 
     def __del__(self) -> None:
-        # Each stream issues its own warning.
+        # Each stream that was not closed issues its own warning.
         if not getattr(self, "_is_closed", True) and self._controller is not None:
             warnings.warn(
                 f"{self!r} was not closed; its simulator still runs", ResourceWarning, source=self, stacklevel=2
@@ -659,7 +666,7 @@ class Robot(StrictAttributes, Closing):
 
     def _repr_html_(self) -> str:
         known = self._who.last
-        streams = tuple(self._streams.items())
+        streams = list(self._streams.items())
         opened = ", ".join(name for name, _ in streams) or "none; the first use of robot.realtime connects it"
         who = html_table(
             self.address, (), [("model", known.model), ("firmware", known.firmware), ("open streams", opened)]

@@ -1,12 +1,12 @@
 """Names for tools in separate packages, in addition to the names that every program uses.
 
-Such a tool tests a controller, shows an arm, or imitates the API of another client. It needs protocols without a
-connection, the parameters of the arms, and the parts of a command line. A program that moves an arm needs nothing from
-this module.
+Such a tool tests a controller, shows an arm, or imitates the API of another client. For this, the tool needs protocols
+without a connection, the parameters of the arms, and functions for a command line. A program that moves an arm needs
+nothing from this module.
 
-The packages below packages/ import only from this module, from `urlink`, and from the other public modules. Each name
-here comes from a module that the library itself uses, so it may change with any release. Such a change is made here and
-in the packages at the same time.
+The packages in the folder packages/ import only from this module, from `urlink`, and from the other public modules.
+Each name here comes from an internal module of the library, so the name might change with any release. Such a change is
+made here and in the packages at the same time.
 """
 
 from __future__ import annotations
@@ -46,19 +46,18 @@ from linkcore.recording.mcap_file import McapFile as McapFile, Topic as Topic
 from linkcore.recording.packets import states_of as states_of
 from linkcore.streaming.peer_clock import lowest_edge as lowest_edge
 from linkcore.text import printable as printable, similar as similar, strict_json as strict_json
-from linkcore.threads import Closing as Closing, ReentrantEvent as ReentrantEvent
+from linkcore.threads import Closing as Closing, ReentrantEvent as ReentrantEvent, started as started
 from linkcore.wire.cycles import gaps_of as gaps_of
 
 # For arms: their files, their parameters, and computations with them.
 from .arm import rigid as rigid
 from .arm.arm_file import (
     MOTORS as MOTORS,
-    SIDES as SIDES,
     ArmFile as ArmFile,
     Estimate as Estimate,
     read_arm_file as read_arm_file,
 )
-from .arm.dynamics import Dynamics as Dynamics
+from .arm.dynamics import GRAVITY as GRAVITY, Dynamics as Dynamics
 from .arm.kinematics.geometry import ArmLink as ArmLink, Geometry as Geometry, angles as angles, chain as chain
 from .arm.motors import (
     FULL_SPEED as FULL_SPEED,
@@ -124,5 +123,5 @@ from .session.address import (
 )
 from .session.identity import Identity as Identity, described_identity as described_identity
 
-#: Speed at full deflection of a jog. The prefix distinguishes it from `FULL_SPEED` of the motors.
+#: Full speed of a jog. The word JOG distinguishes the name from `FULL_SPEED` of the motors.
 FULL_JOG_SPEED = _jog.FULL_SPEED

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from linkcore.handle import Handle
+from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import Backoff
 from linkcore.streaming.stream import Stream
 from linkcore.threads import CallbackThread
@@ -49,19 +50,26 @@ class ScriptedController:
         start_place: StartPlace = START_PLACE,
         is_remote: bool | None = None,
         inputs: BriefInputs | None = None,
+        fast: ScriptedTransport | None = None,
     ) -> None:
         self.firmware = Firmware.parse(firmware)
-        self.slow, self.fast = ScriptedTransport(), ScriptedTransport()
+        self.slow, self.fast = ScriptedTransport(), fast or ScriptedTransport()
         transports = {"primary": self.slow, "realtime": self.fast}
         identity = Identity(self.firmware, True, model)
         self.who = KnownIdentity(lambda: identity)
-        source = Source(lambda: identity, transports.__getitem__, backoff, 5.0, None, False)
+        connections: list[Connection] = []
+
+        def connection(*arguments: Any, **options: Any) -> Connection:
+            connections.append(Connection(*arguments, **options))
+            return connections[-1]
+
+        source = Source(lambda: identity, transports.__getitem__, backoff, 5.0, None, False, connection=connection)
         self.primary: Stream[RobotState] = source.stream("primary", "stand-in primary", lambda: None)
         self.realtime: Stream[RealtimeState] = source.stream("realtime", "stand-in realtime", lambda: None)
         self.callbacks = CallbackThread("stand-in callbacks")
-        slow, fast = self.primary._connection, self.realtime._connection
-        self.section = Section(slow.reads_here, fast.reads_here)
-        self.monitor = SafetyMonitor(slow, fast, Interlock(policy, stale_after), self.section, self.callbacks)
+        slow, quick = connections
+        self.section = Section(slow.reads_here, quick.reads_here)
+        self.monitor = SafetyMonitor(slow, quick, Interlock(policy, stale_after), self.section, self.callbacks)
         self.channel = CommandChannel(slow, self.monitor, self.section)
         self.programs = Programs(
             slow,
@@ -78,7 +86,7 @@ class ScriptedController:
         self.settings = Settings(
             SettingChannel(self.channel, slow, self.section, None if inputs is None else lambda: inputs),
             slow,
-            fast,
+            quick,
             self.who,
             self.section,
             lambda: is_remote,

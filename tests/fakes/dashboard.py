@@ -57,7 +57,7 @@ class ScriptedDashboard(OneAfterAnother):
         super().__init__(TIMEOUT)
 
     def _talk(self, connection: socket.socket) -> None:
-        self._say(connection, self._greeting)
+        self._send_chunks(connection, self._greeting)
         rest = b""
         while True:
             data = connection.recv(65536)
@@ -69,13 +69,13 @@ class ScriptedDashboard(OneAfterAnother):
                 said = self._answer(line.decode())
                 if said is None:
                     return
-                self._say(connection, said)
+                self._send_chunks(connection, said)
 
-    def _say(self, connection: socket.socket, data: bytes) -> None:
+    def _send_chunks(self, connection: socket.socket, data: bytes) -> None:
         for start in range(0, len(data), self._chunk):
             connection.sendall(data[start : start + self._chunk])
 
-    def say(self, data: bytes) -> None:
+    def send(self, data: bytes) -> None:
         """Send data without a request."""
         assert self._connection is not None
         self._connection.sendall(data)

@@ -104,7 +104,7 @@ class Line:
     def look(self) -> None:
         """Do nothing, because packets are delivered immediately."""
 
-    def tell(self, packet: Any) -> None:
+    def deliver(self, packet: Any) -> None:
         for each in tuple(self.subscribers):
             if isinstance(packet, each.kind):
                 each.callback(packet)
@@ -150,7 +150,8 @@ class Desk:
         # Callbacks are called immediately.
         self.callbacks = cast(CallbackThread, SimpleNamespace(call=lambda function, *arguments: function(*arguments)))
         self.monitor = SafetyMonitor(slow, fast, self.interlock, self.section, self.callbacks, self.clock)
-        self.channel = CommandChannel(slow, self.monitor, self.section, self.clock)
+        self.undos = PendingUndos("controller")
+        self.channel = CommandChannel(slow, self.monitor, self.section, self.clock, self.undos)
 
     def _wait(self, seconds: float) -> None:
         self.waits.append(seconds)
@@ -160,12 +161,12 @@ class Desk:
     def clear(self) -> None:
         """Report a state that permits motions on both lines."""
         self.monitor.listen(closely=True)
-        self.primary.tell(slow())
-        self.realtime.tell(fast())
+        self.primary.deliver(slow())
+        self.realtime.deliver(fast())
         assert self.monitor.refusal_to_begin() is None
 
     def event(self, line: Line, state: ConnectionState, error: Exception | None = None) -> None:
-        line.tell(ConnectionEvent(state, line.name, error, Stamp(self.clock.now, self.clock.now)))
+        line.deliver(ConnectionEvent(state, line.name, error, Stamp(self.clock.now, self.clock.now)))
 
     @property
     def sent(self) -> list[str]:
@@ -185,17 +186,18 @@ STARTED, STOPPED = "PROGRAM_XXX_STARTED", "PROGRAM_XXX_STOPPED"
 
 
 class Run(Handle):
-    """Handle of a sent program; `texts` holds the texts that it has sent."""
+    """Handle of a sent program; `life` is its life, and `texts` holds the texts that it has sent."""
 
     def __init__(self, desk: Programming, life: Lifecycle, name: str, **options: Any) -> None:
         super().__init__(life)
+        self.life = life
         self._desk = desk
         self.texts: list[str] = []
         #: Name of the program on the controller.
         self.program = name
 
     def says(self, word: str) -> None:
-        self._desk.primary.tell(TextMessage(FIRMWARE, text=f"{self.program} {word}"))
+        self._desk.primary.deliver(TextMessage(FIRMWARE, text=f"{self.program} {word}"))
 
     def begins(self) -> None:
         self._desk.key(STARTED, self.program)
@@ -239,7 +241,7 @@ class Programming(Desk):
     def script(self, source: str = "movej(q)", **options: Any) -> Run:
         """Start a script of a user."""
         wrapped = self.programs.wrap(source)
-        options = {"is_motion": False, "left_alone": "it may still run", **options}
+        options = {"is_motion": False, "left_alone": "it might still run", **options}
         return self._start(wrapped, self.programs.life(wrapped.name), **options)
 
     def _start(self, wrapped: Any, life: Lifecycle, **options: Any) -> Run:
@@ -248,15 +250,15 @@ class Programming(Desk):
         return run
 
     def key(self, title: str, name: str) -> None:
-        self.primary.tell(KeyMessage(FIRMWARE, title=title, text=name))
+        self.primary.deliver(KeyMessage(FIRMWARE, title=title, text=name))
 
     def exception(self, text: str, line: int = 1, column: int = 1) -> None:
-        self.primary.tell(RuntimeExceptionMessage(FIRMWARE, line=line, column=column, text=text))
+        self.primary.deliver(RuntimeExceptionMessage(FIRMWARE, line=line, column=column, text=text))
 
     def state(self, later: float = 0.0, *, runs: bool = False, paused: bool = False) -> None:
         """Report a state, `later` seconds later."""
         self.clock.now += later
-        self.primary.tell(slow(is_program_running=runs, is_program_paused=paused))
+        self.primary.deliver(slow(is_program_running=runs, is_program_paused=paused))
 
     @property
     def stops(self) -> int:

@@ -9,6 +9,7 @@ import threading
 import time
 from collections import deque
 from pathlib import Path
+from typing import Any
 
 import linkcore.clock
 from linkcore.clock import Stamp
@@ -120,7 +121,7 @@ class ScriptedTransport:
         self._openings = list(openings)
         self._items: deque[bytes | Exception] = deque()
         self._changed = threading.Condition()
-        self._closed = True
+        self.is_closed = True
         self.opened = 0
         self.sent: list[bytes] = []
         #: Exception that the next `send` raises.
@@ -139,14 +140,14 @@ class ScriptedTransport:
         if outcome is not None:
             raise outcome
         with self._changed:
-            self._closed = False
+            self.is_closed = False
 
     def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
         with self._changed:
             came = self._changed.wait_for(
-                lambda: self._items or self._closed, timeout=30 if timeout is None else timeout
+                lambda: self._items or self.is_closed, timeout=30 if timeout is None else timeout
             )
-            if self._closed:
+            if self.is_closed:
                 raise ConnectionLost("closed here")
             if not came:
                 assert timeout is not None, "the test has put no data for 30 s"
@@ -166,7 +167,7 @@ class ScriptedTransport:
         refusal, self.refusal = self.refusal, None
         if refusal is not None:
             raise refusal
-        if self._closed:
+        if self.is_closed:
             raise ConnectionLost("script is not connected")
         with self._changed:
             count = len(data) if self.room is None else min(self.room, len(data))
@@ -178,8 +179,8 @@ class ScriptedTransport:
 
     def wait_for_room(self, timeout: float) -> bool:
         with self._changed:
-            self._changed.wait_for(lambda: self.room != 0 or self._closed, timeout)
-            if self._closed:
+            self._changed.wait_for(lambda: self.room != 0 or self.is_closed, timeout)
+            if self.is_closed:
                 raise ConnectionLost("script is not connected")
             return self.room != 0
 
@@ -190,21 +191,20 @@ class ScriptedTransport:
 
     def abort(self) -> None:
         with self._changed:
-            self._closed = True
+            self.is_closed = True
             self._changed.notify_all()
 
     def close(self) -> None:
         self.abort()
 
 
-def scripted(
-    transport: Transport,
-    *,
-    name: str = "script",
-    backoff: Backoff = AT_ONCE,
-    silence: float | None = None,
-    lossless: bool = False,
-) -> Stream[Count]:
-    """Return a stream of `Count` over a transport."""
-    connection = Connection(name, transport, CountProtocol, FanOut(Count), backoff=backoff, silence=silence)
-    return Stream(connection, Count, lossless=lossless)
+def connection_over(
+    transport: Transport, *, name: str = "script", backoff: Backoff = AT_ONCE, silence: float | None = None
+) -> Connection:
+    """Return a connection of `Count` over a transport."""
+    return Connection(name, transport, CountProtocol, FanOut(Count), backoff=backoff, silence=silence)
+
+
+def scripted(transport: Transport, *, lossless: bool = False, **options: Any) -> Stream[Count]:
+    """Return a stream of `Count` over a transport; see `connection_over`."""
+    return Stream(connection_over(transport, **options), Count, lossless=lossless)

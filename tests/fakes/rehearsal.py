@@ -9,7 +9,8 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from queue import Empty, SimpleQueue
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 from linkcore.errors import ConnectionLost
 from linkcore.handle import Phase
@@ -29,8 +30,10 @@ from urlink.motion.links.register_link import (
 )
 from urlink.motion.links.reverse import ReversePort
 from urlink.motion.motions import LinkName, Motions
+from urlink.motion.servo.force_control import Freedrive
 from urlink.protocol.enums import RobotMode, RobotModeCB2, SafetyMode
 from urlink.protocol.realtime.packets import RealtimeState
+from urlink.robot import Robot
 from urlink.script.wrapping import finish_marker, start_marker
 
 _ARM = Arm("UR5e")
@@ -46,8 +49,11 @@ class InputClaim:
     def __init__(self) -> None:
         self.written: SimpleQueue[dict[str, float]] = SimpleQueue()
         self.is_cut = False
+        #: function that is called before each package is written
+        self.before_write: Callable[[], object] = lambda: None
 
     def _write(self, values: Mapping[str, float]) -> None:
+        self.before_write()
         if self.is_cut:
             raise ConnectionLost("cut")
         self.written.put(dict(values))
@@ -63,20 +69,19 @@ class Rehearsal(ScriptedController):
         self.has_registers = link == "rtde"
         self.inputs = InputClaim()
         reverse = ReversePort("127.0.0.1", port=port)
-        self.motion = Motions(
-            MotionContext(
-                self.programs,
-                self.channel,
-                self.realtime,
-                self.who,
-                reverse,
-                RegisterPort(self._claim, 1.0, SETPOINT_INPUTS, RegisterLink),
-                RegisterPort(self._claim, 1.0, POINT_INPUTS, lambda inputs: PointRegisterLink(inputs, lambda: None)),
-                self.section,
-                # Motions use the clock of the test, in which one cycle passes with each state.
-                clock=lambda: self.time,
-            )
+        self.context = MotionContext(
+            self.programs,
+            self.channel,
+            self.realtime,
+            self.who,
+            reverse,
+            RegisterPort(self._claim, 1.0, SETPOINT_INPUTS, RegisterLink),
+            RegisterPort(self._claim, 1.0, POINT_INPUTS, lambda inputs: PointRegisterLink(inputs, lambda: None)),
+            self.section,
+            # Motions use the clock of the test, in which one cycle passes with each state.
+            clock=lambda: self.time,
         )
+        self.motion = Motions(self.context)
         if self.has_registers:
             self.motion.follow = partial(self.motion.follow, link=link)  # type: ignore[method-assign]
             self.motion.servo = partial(self.motion.servo, link=link)  # type: ignore[method-assign]
@@ -271,6 +276,11 @@ class Rehearsal(ScriptedController):
 
         self.until(is_answered)
         return [float(each) for each in answer[0].strip("()").split(",")]
+
+
+def freedrive(motions: Motions, *axes: Any, **options: Any) -> Freedrive:
+    """Call `Robot.freedrive` of a robot with these motions."""
+    return Robot.freedrive(cast(Robot, SimpleNamespace(motion=motions)), *axes, **options)
 
 
 def turned(angle: float, q: Sequence[float] = HOME) -> list[float]:

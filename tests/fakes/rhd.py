@@ -29,7 +29,7 @@ class Peer:
         self._socket = connection
         self.heard = b""
 
-    def hear(self, expected: bytes) -> None:
+    def expect(self, expected: bytes) -> None:
         """Read as many bytes as expected, and check that they equal the expected bytes."""
         there = self.read(len(expected))
         assert there == expected, f"the client sent {there!r}; expected {expected!r}"
@@ -43,7 +43,7 @@ class Peer:
         self.heard += data
         return data
 
-    def say(self, *data: bytes) -> None:
+    def send(self, *data: bytes) -> None:
         for each in data:
             self._socket.sendall(each)
 
@@ -111,8 +111,8 @@ class Robot:
         self.database = Database([SymbolRow(name, 1) for name in read], [SymbolRow(name, 1) for name in write])
 
     def greet(self, peer: Peer, access: str = "r") -> None:
-        peer.hear(b"a" + access.encode())
-        peer.say(self.database.encode_handshake(access))
+        peer.expect(b"a" + access.encode())
+        peer.send(self.database.encode_handshake(access))
 
     def batch(self, tick: int, **values: int) -> bytes:
         """Return a batch of the tick `tick`, with a time stamp of `tick` centiseconds."""
@@ -141,7 +141,7 @@ def serving(side: Robot, access: str = "r", syncs: int = 0) -> Script:
             peer.read(2)
             while not peer.heard.endswith(b"ee"):
                 peer.read(1)
-            peer.say(side.batch(tick))
+            peer.send(side.batch(tick))
         assert peer.is_left()
 
     return script
@@ -153,9 +153,9 @@ def endless(side: Robot, access: str = "r") -> Script:
         tick = 0
         try:
             while True:
-                peer.hear(b"rree")
+                peer.expect(b"rree")
                 tick += 1
-                peer.say(side.batch(tick, encl=tick // 2))
+                peer.send(side.batch(tick, encl=tick // 2))
         except (AssertionError, ConnectionError):
             assert tick  # the client left, after at least one tick
 

@@ -138,6 +138,6 @@ class ScriptedRtde(ScriptedTransport):
         version = f"{self.protocol}.0"
         return DataPackage.LAYOUTS.of(version).decode(self.outputs.encode(values))  # type: ignore[no-any-return]
 
-    def say(self, **values: Any) -> None:
+    def send_values(self, **values: Any) -> None:
         """Send a data package."""
         self.put(bytes(self.data(**values)))

@@ -43,7 +43,7 @@ class TestAnalytic:
         module: Any = pytest.importorskip("ur_analytic_ik")
         return getattr(module, name.lower().replace(" ", ""))
 
-    def test_module_has_every_arm(self) -> None:
+    def test_ur_analytic_ik_has_every_arm_of_the_library(self) -> None:
         module: Any = pytest.importorskip("ur_analytic_ik")
         assert {arm for arm in dir(module) if arm.startswith("ur")} == {
             name.lower().replace(" ", "") for name in MODELS
@@ -56,7 +56,7 @@ class TestAnalytic:
         np.testing.assert_allclose(to_matrix(Arm(name).forward(q)), expected, rtol=0.0, atol=1e-12)
 
     @EVERY
-    def test_solutions_include_those_of_ur_analytic_ik(self, theirs: Any, name: str) -> None:
+    def test_inverse_solutions_include_those_of_ur_analytic_ik(self, theirs: Any, name: str) -> None:
         arm = Arm(name)
         compared = 0
         for matrix in to_matrix(arm.forward(postures(2))):

@@ -6,7 +6,7 @@ import pytest
 
 from urlink.simulator import Controller, Still
 
-pyrobotiqur = pytest.importorskip("pyrobotiqur", reason="nox -s interop installs it")
+pyrobotiqur = pytest.importorskip("pyrobotiqur", reason="pyrobotiqur is not installed; nox -s interop installs it")
 
 pytestmark = pytest.mark.real_time
 

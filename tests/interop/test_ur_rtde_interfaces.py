@@ -232,7 +232,7 @@ def sent(controller: Controller, name: str) -> Any:
     return found[0]
 
 
-def test_receive_interface_with_selected_variables(controller: Controller, rtde: Rtde) -> None:
+def test_receive_interface_works_with_selected_variables(controller: Controller, rtde: Rtde) -> None:
     receive = rtde.make("receive", 10.0, ["timestamp", "actual_q"])
     first = receive.getTimestamp()
     until(lambda: receive.getTimestamp() > first)
@@ -564,7 +564,7 @@ def test_control_works_again_after_a_protective_stop(controller: Controller, rtd
 
 
 @pytest.mark.parametrize("is_stopped", [False, True], ids=["running", "stopped"])
-def test_next_client_works_after_a_killed_one(
+def test_next_client_works_after_a_client_was_killed(
     controller: Controller, rtde: Rtde, control: Interface, is_stopped: bool
 ) -> None:
     assert control.moveJ(NEAR, 2.0, 4.0)

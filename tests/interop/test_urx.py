@@ -112,7 +112,7 @@ def test_simulator_sends_the_firmware_that_urx_reads(ours: urlink.Robot) -> None
     assert len(bytes(state.robot_mode_data)) == 46
 
 
-def test_joint_positions_are_equal(ours: urlink.Robot, theirs: Any) -> None:
+def test_joint_positions_of_urx_and_urlink_are_equal(ours: urlink.Robot, theirs: Any) -> None:
     values = agrees(
         ours.secondary, lambda: theirs.getj(wait=True), lambda state, read: read == joints_of(state).q_actual.tolist()
     )
@@ -120,7 +120,7 @@ def test_joint_positions_are_equal(ours: urlink.Robot, theirs: Any) -> None:
     assert differ(values), "the arm must move during the test"
 
 
-def test_tool_poses_are_equal(ours: urlink.Robot, theirs: Any) -> None:
+def test_tool_poses_of_urx_and_urlink_are_equal(ours: urlink.Robot, theirs: Any) -> None:
     def raw() -> Any:
         # Read the received pose before `Robot.getl` converts it to a rotation matrix and back to a vector.
         return urx.urrobot.URRobot.getl(theirs, wait=True)
@@ -130,7 +130,7 @@ def test_tool_poses_are_equal(ours: urlink.Robot, theirs: Any) -> None:
     assert differ(values)
 
 
-def test_tool_poses_are_equal_after_math3d(ours: urlink.Robot, theirs: Any) -> None:
+def test_tool_poses_of_urx_and_urlink_are_equal_with_math3d(ours: urlink.Robot, theirs: Any) -> None:
     agrees(
         ours.secondary,
         lambda: theirs.getl(wait=True),
@@ -142,7 +142,7 @@ def is_shown(read: Callable[[], int], bits: int) -> bool:
     return read() == bits
 
 
-def test_digital_inputs_are_equal(controller: Controller, ours: urlink.Robot, theirs: Any) -> None:
+def test_digital_inputs_of_urx_and_urlink_are_equal(controller: Controller, ours: urlink.Robot, theirs: Any) -> None:
     expected = sum(1 << number for number in INPUTS)
     for bits in (expected, 0b1010, expected):
         controller.signals.digital_inputs = bits
@@ -153,7 +153,7 @@ def test_digital_inputs_are_equal(controller: Controller, ours: urlink.Robot, th
         ]
 
 
-def test_realtime_states_are_equal(ours: urlink.Robot, theirs: Any) -> None:
+def test_realtime_states_of_urx_and_urlink_are_equal(ours: urlink.Robot, theirs: Any) -> None:
     monitor = theirs.get_realtime_monitor()
 
     def read() -> dict[str, Any]:
@@ -251,7 +251,7 @@ def test_urx_switches_outputs(controller: Controller, ours: urlink.Robot, theirs
     assert controller.signals.digital_outputs == 0
 
 
-def test_line_of_urx_ends_the_running_program(ours: urlink.Robot, theirs: Any) -> None:
+def test_output_switched_by_urx_ends_the_running_program(ours: urlink.Robot, theirs: Any) -> None:
     """A movement stops if urx switches an output while it runs.
 
     According to the documentation of urx, a real controller does so for every line. urlink switches outputs in a `sec`

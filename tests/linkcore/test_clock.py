@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import sys
 import threading
 import time
 from concurrent.futures import Future
@@ -13,6 +14,7 @@ import pytest
 from linkcore import clock
 from linkcore.clock import Stamp
 from linkcore.streaming.packet_queue import is_older
+from tests import platforms
 from tests.fakes.clock import Suspend
 
 pytestmark = pytest.mark.simulated_time
@@ -25,12 +27,16 @@ def suspend(monkeypatch: pytest.MonkeyPatch) -> Suspend:
 
 @pytest.mark.real_time
 def test_now_reads_a_clock_that_includes_a_suspend() -> None:
-    which = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
-    before = time.clock_gettime(which)
-    assert before <= clock.now() <= time.clock_gettime(which)
+    def read() -> float:
+        if sys.platform == "win32":
+            return time.perf_counter()
+        return time.clock_gettime(getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC))
+
+    before = read()
+    assert before <= clock.now() <= read()
 
 
-def test_now_is_the_simulated_clock_as_a_default_value() -> None:
+def test_now_reads_simulated_clock_when_used_as_default_argument() -> None:
     def read(now: object = clock.now) -> float:
         assert callable(now)
         return float(now())
@@ -41,6 +47,7 @@ def test_now_is_the_simulated_clock_as_a_default_value() -> None:
     assert read() - begun[0] == pytest.approx(time.monotonic() - begun[1], abs=1e-3)
 
 
+@platforms.needs_posix_clocks
 def test_clock_gettime_is_simulated() -> None:
     begun = [time.clock_gettime(which) for which in (time.CLOCK_MONOTONIC, time.CLOCK_REALTIME)]
     busy = time.clock_gettime(time.CLOCK_PROCESS_CPUTIME_ID)
@@ -51,13 +58,13 @@ def test_clock_gettime_is_simulated() -> None:
     assert time.clock_gettime(time.CLOCK_PROCESS_CPUTIME_ID) - busy < 100.0
 
 
-def test_left_is_never_negative_after_the_deadline() -> None:
+def test_remaining_time_is_never_negative_after_the_deadline() -> None:
     assert clock.left(clock.now() + 10.0) == pytest.approx(10.0, abs=1e-3)
     assert clock.left(clock.now() - 10.0) == 0.0
 
 
 @pytest.mark.parametrize("timeout", [None, float("inf"), 0.0, -1.0, 0.5, 3.5])
-def test_wait_returns_whether_it_happened(timeout: float | None) -> None:
+def test_wait_returns_whether_the_event_happened(timeout: float | None) -> None:
     event = threading.Event()
     if timeout is not None and timeout < 100.0:
         begun = clock.now()
@@ -85,17 +92,18 @@ def test_sleep_ends_when_a_suspend_passes_its_end(suspend: Suspend) -> None:
     begun = time.monotonic()
     threading.Timer(2.5, suspend, [100.0]).start()
     clock.sleep(60.0)
-    assert time.monotonic() - begun == pytest.approx(3.0, abs=1e-2)
+    # It ends with the system call during which the suspend happened.
+    assert 2.5 <= time.monotonic() - begun <= 2.5 + max(clock._SLICE, 0.5) + 0.01
 
 
 @pytest.mark.parametrize("seconds", [-1.0, 0.0, 0.25, 7.25])
-def test_sleep_lasts_as_long_as_asked(seconds: float) -> None:
+def test_sleep_lasts_for_the_requested_time(seconds: float) -> None:
     begun = clock.now()
     clock.sleep(seconds)
     assert clock.now() - begun == pytest.approx(max(seconds, 0.0), abs=1e-3)
 
 
-def test_wait_without_timeout_runs_in_slices(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wait_without_timeout_is_divided_into_short_waits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clock, "ENDLESS", 0.1)
     monkeypatch.setattr(clock, "_SLICE", 0.1)
     waited: list[float | None] = []
@@ -118,7 +126,7 @@ def test_get_raises_empty_when_time_is_up() -> None:
     assert clock.get(items) == "x"
 
 
-def test_is_done_neither_raises_nor_returns_the_result() -> None:
+def test_is_done_returns_bool_for_failed_and_cancelled_futures() -> None:
     failed, cancelled, pending = Future[None](), Future[None](), Future[None]()
     failed.set_exception(TimeoutError("of its own"))
     cancelled.cancel()
@@ -156,7 +164,7 @@ def test_join_rejects_the_current_thread() -> None:
         clock.join(threading.current_thread(), 0.1)
 
 
-def test_stamp_is_old_after_a_suspend(suspend: Suspend) -> None:
+def test_age_of_a_stamp_includes_a_suspend(suspend: Suspend) -> None:
     stamp = Stamp.now()
     assert not is_older(SimpleNamespace(received=stamp), 60.0)
     suspend(100.0)

@@ -18,7 +18,7 @@ from tests.waiting import until
 pytestmark = pytest.mark.simulated_time
 
 
-def test_queued_call_raises_closed_when_workers_close() -> None:
+def test_queued_call_raises_closed_when_thread_pool_closes() -> None:
     """The error is not CancelledError, because no one cancelled the task."""
     workers = Workers("robot", 1)
     is_over = threading.Event()
@@ -42,7 +42,7 @@ def refuse(thread: threading.Thread) -> None:
     raise RuntimeError("can't start new thread")
 
 
-def test_call_without_a_thread_is_not_made_later(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_call_is_not_made_later_if_no_thread_could_start(monkeypatch: pytest.MonkeyPatch) -> None:
     workers = Workers("robot", 4)
     is_over, made = threading.Event(), threading.Event()
     waiting = workers.submit(lambda: is_over.wait(60.0))
@@ -67,7 +67,7 @@ def test_stop_does_not_queue_behind_calls_or_other_stops() -> None:
     workers.close()
 
 
-def test_stop_uses_a_thread_that_was_started_before(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stop_runs_in_a_reserved_thread_if_none_can_be_started(monkeypatch: pytest.MonkeyPatch) -> None:
     workers = Workers("robot", 1, stopping=1)
     is_over = threading.Event()
     monkeypatch.setattr(threading.Thread, "start", refuse)
@@ -78,13 +78,13 @@ def test_stop_uses_a_thread_that_was_started_before(monkeypatch: pytest.MonkeyPa
     workers.close()
 
 
-def test_workers_fail_if_no_thread_for_stops_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_thread_pool_raises_if_its_stop_thread_cannot_start(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(threading.Thread, "start", refuse)
     with pytest.raises(LocalError):
         Workers("robot", 1, stopping=1)
 
 
-def test_surplus_threads_for_stops_end_when_idle() -> None:
+def test_extra_threads_for_stops_end_when_idle() -> None:
     workers = Workers("robot", 1, stopping=1)
     is_over = threading.Event()
     for each in [workers.stop(lambda: is_over.wait(60.0)) for _ in range(5)]:
@@ -95,7 +95,7 @@ def test_surplus_threads_for_stops_end_when_idle() -> None:
     until(lambda: not any(thread.name.startswith("robot stop") for thread in threading.enumerate()))
 
 
-def test_threads_end_with_workers_that_are_not_closed() -> None:
+def test_worker_threads_end_when_the_pool_is_garbage_collected() -> None:
     workers = Workers("dropped", 1, stopping=1)
     assert workers.submit(lambda: True).result(60.0)
     del workers

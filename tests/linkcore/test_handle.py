@@ -116,7 +116,7 @@ def compare(life: Lifecycle, modelled: Modelled, event: Event) -> None:
         assert (life.happened(each) is not None) == (each in modelled.events and each not in ENDS)
 
 
-def test_lifecycle_equals_model_for_every_three_events(callbacks: CallbackThread) -> None:
+def test_lifecycle_behaves_like_its_model_for_three_events(callbacks: CallbackThread) -> None:
     for events in itertools.product(Event, repeat=3):
         life, modelled = Lifecycle("job", callbacks), Modelled()
         for event in events:
@@ -404,7 +404,7 @@ def test_error_in_brake_still_ends_the_handle(life: Lifecycle) -> None:
         Handle(life).wait(0)
 
 
-def test_releases_run_when_the_ending_call_is_abandoned(life: Lifecycle) -> None:
+def test_release_callbacks_run_when_the_ending_call_is_abandoned(life: Lifecycle) -> None:
     """A release may join a thread, even with a timeout of 0. In an abandoned call such a wait would raise."""
     pending, released = PendingCall(), []
 

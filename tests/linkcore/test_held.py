@@ -81,7 +81,7 @@ def test_held_raises_when_another_thread_keeps_the_lock() -> None:
 
 
 @pytest.mark.simulated_time
-def test_acquired_yields_whether_it_has_the_lock() -> None:
+def test_acquired_yields_true_only_if_the_lock_was_acquired() -> None:
     lock = threading.Lock()
     with acquired(lock, 3.5) as first, acquired(lock, 3.5) as second:
         assert (first, second) == (True, False)
@@ -92,7 +92,7 @@ def test_acquired_yields_whether_it_has_the_lock() -> None:
     assert not lock.locked()
 
 
-def test_section_lock_is_entered_by_builtin_code() -> None:
+def test_section_lock_enter_is_implemented_in_c() -> None:
     """With an `__enter__` in Python, Ctrl-C could come between the acquisition and the block."""
     lock = Section().lock
     assert isinstance(type(lock).__enter__, MethodDescriptorType | BuiltinFunctionType)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from linkcore.threads import MadeOnce
 
 
-def test_made_once_keeps_the_first_object_until_taken() -> None:
+def test_made_once_returns_the_first_object_until_it_is_taken() -> None:
     once: MadeOnce[list[int]] = MadeOnce()
     assert not once.made
     assert once.take() is None

@@ -33,7 +33,7 @@ def package(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return made
 
 
-def test_lazy_name_is_the_object_of_its_module(package: ModuleType) -> None:
+def test_lazy_name_returns_the_object_of_its_module(package: ModuleType) -> None:
     assert package.loads is json.loads
     assert vars(package)["loads"] is json.loads, "after its first use the name is an attribute of the package"
     assert "dumps" not in vars(package)
@@ -64,7 +64,7 @@ def test_names_for_type_checkers_equal_lazy_names(package: ModuleType) -> None:
     assert package.__file__ is not None
     tree = ast.parse(Path(package.__file__).read_text(encoding="utf-8"))
     (branch,) = (node for node in tree.body if isinstance(node, ast.If))
-    told = {}
+    resolved = {}
     for node in branch.body:
         assert isinstance(node, ast.ImportFrom)
         module = importlib.import_module("." * node.level + (node.module or ""), package.__name__)
@@ -72,9 +72,9 @@ def test_names_for_type_checkers_equal_lazy_names(package: ModuleType) -> None:
             assert alias.asname == alias.name, "type checkers export a name only if it is imported as itself"
             whole = f"{module.__name__}.{alias.name}"
             is_module = hasattr(module, "__path__") and importlib.util.find_spec(whole) is not None
-            told[alias.name] = importlib.import_module(whole) if is_module else getattr(module, alias.name)
-    assert sorted(told) == dir(package)
-    for name, value in told.items():
+            resolved[alias.name] = importlib.import_module(whole) if is_module else getattr(module, alias.name)
+    assert sorted(resolved) == dir(package)
+    for name, value in resolved.items():
         assert getattr(package, name) is value
 
 
@@ -101,7 +101,7 @@ def test_attribute_error_in_a_module_raises_import_error(
         hasattr(package, "Name")
 
 
-def test_module_is_available_under_its_last_name() -> None:
+def test_lazy_submodule_is_available_under_its_last_name() -> None:
     get, names, public = lazy_names("email", {"json": "loads"}, modules="mime.text utils")
     assert get("text") is importlib.import_module("email.mime.text")
     assert (names(), public) == (["loads", "text", "utils"], ["loads"])
@@ -125,7 +125,7 @@ def entries(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[importlib.metadat
     return found
 
 
-def test_plugin_loads_what_an_entry_point_names(entries: dict[str, list[importlib.metadata.EntryPoint]]) -> None:
+def test_plugin_loads_the_object_of_an_entry_point(entries: dict[str, list[importlib.metadata.EntryPoint]]) -> None:
     entries["made.parsers"] = [importlib.metadata.EntryPoint("json", "json:loads", "made.parsers")]
     assert plugin("made.parsers", "json", "made-json", "reading") is json.loads
 
@@ -145,7 +145,7 @@ def test_missing_plugin_error_names_the_install_command(distribution: str, insta
     ("extra", "distribution", "says"),
     [("fast", "made-json", "pip install 'made-json[fast]'"), ("", "made-json", "pip install made-json")],
 )
-def test_needs_names_the_distribution_of_the_extra(extra: str, distribution: str, says: str) -> None:
+def test_needs_error_names_the_extra_to_install(extra: str, distribution: str, says: str) -> None:
     with pytest.raises(LocalError, match=f"not installed: {re.escape(says)}$"), needs(extra, "reading", distribution):
         importlib.import_module("made_no_such")
 

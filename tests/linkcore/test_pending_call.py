@@ -50,7 +50,10 @@ class Arm:
 
     @starts_motion
     def orders(self, stops: bool = False) -> tuple[int, int]:
-        """Return the orders of this call and of a nested one; if `stops`, this thread stops the robot in between."""
+        """Return the order numbers of this call and of a nested call.
+
+        If `stops`, this thread stops the robot between the two calls.
+        """
         call = current_call()
         assert call is not None
         if stops:
@@ -108,12 +111,12 @@ def test_order_increases_from_call_to_call(arm: Arm) -> None:
     assert first < stop < second
 
 
-def test_nested_call_has_the_order_of_the_outer_call(arm: Arm) -> None:
+def test_nested_call_has_the_order_number_of_the_outer_call(arm: Arm) -> None:
     outer, inner = arm.orders()
     assert outer == inner
 
 
-def test_nested_call_gets_a_new_order_after_a_stop_of_its_thread(arm: Arm) -> None:
+def test_nested_call_has_higher_order_after_a_stop_in_its_thread(arm: Arm) -> None:
     outer, inner = arm.orders(stops=True)
     assert outer < inner
 
@@ -124,7 +127,7 @@ def test_pending_call_takes_its_order_when_created(arm: Arm) -> None:
     assert pending.make(arm.order) < stop
 
 
-def test_unordered_pending_call_orders_each_nested_call(arm: Arm) -> None:
+def test_unordered_pending_call_gives_nested_call_a_new_order(arm: Arm) -> None:
     pending = PendingCall(is_ordered=False)
     stop = next_order()
     assert pending.make(arm.order) > stop
@@ -146,7 +149,7 @@ def test_abandoned_pending_call_cancels_its_motion(arm: Arm) -> None:
     assert arm.brakes == 1
 
 
-def test_regardless_leaves_the_call_and_returns_to_it(arm: Arm) -> None:
+def test_regardless_hides_the_current_call_temporarily(arm: Arm) -> None:
     pending = PendingCall()
     seen: list[Any] = []
     pending.make(lambda: seen.extend([regardless(current_call), current_call()]))
@@ -154,7 +157,7 @@ def test_regardless_leaves_the_call_and_returns_to_it(arm: Arm) -> None:
 
 
 @given(st.lists(st.sampled_from(["call", "stop"]), max_size=30))
-def test_only_later_stops_have_a_higher_order(events: list[str]) -> None:
+def test_stop_has_a_higher_order_than_earlier_calls_only(events: list[str]) -> None:
     arm, last_stop, calls = Arm(), 0, []
     for at, event in enumerate(events):
         if event == "stop":

@@ -55,7 +55,7 @@ STRICT = sorted(
 )
 
 
-def test_public_classes_are_strict_or_listed() -> None:
+def test_public_classes_reject_unknown_attributes_or_are_listed() -> None:
     loose = {
         f"{kind.__module__}.{kind.__name__} ({place}): derive it from linkcore.names.StrictAttributes, or "
         "add it to LEFT_OUT in tests/linkcore/test_strict_attributes.py with the reason"
@@ -85,13 +85,13 @@ def moves() -> Iterator[tuple[str, Any, str, str]]:
             method = inspect.getattr_static(kind, name)
             if (name == "__init__" or name[0] != "_") and inspect.isfunction(method) and _moves(method):
                 if kind.__name__.startswith("Async"):
-                    continue  # raises only when awaited; see test_awaited_move_hints_at_arguments
+                    continue  # raises only when awaited; see test_async_move_names_the_right_argument_for_a_wrong_one
                 for foreign, own in _OWN_KEYWORDS.items():
                     if own in _arguments(method):
                         yield f"{kind.__name__}.{name}", method, foreign, own
 
 
-def test_each_move_hints_at_foreign_arguments() -> None:
+def test_wrong_argument_name_raises_error_with_the_right_name() -> None:
     tried = set()
     for name, method, foreign, own in moves():
         with pytest.raises(TypeError, match=f"has no argument '{foreign}'; use '{own}'"):
@@ -104,7 +104,7 @@ def test_each_move_hints_at_foreign_arguments() -> None:
 
 
 @pytest.mark.simulated_time
-def test_awaited_move_hints_at_arguments() -> None:
+def test_async_move_names_the_right_argument_for_a_wrong_one() -> None:
     import asyncio
 
     async def move() -> None:
@@ -115,7 +115,7 @@ def test_awaited_move_hints_at_arguments() -> None:
     asyncio.run(move())
 
 
-def test_move_keeps_its_own_type_errors() -> None:
+def test_move_does_not_change_type_errors_without_a_hint() -> None:
     class Mover(StrictAttributes):
         def move(self, speed: float) -> None:
             raise TypeError("its own")
@@ -132,7 +132,7 @@ def test_move_keeps_its_own_type_errors() -> None:
 
 
 @pytest.mark.simulated_time
-def test_error_of_setting_names_the_alternative() -> None:
+def test_error_of_assignment_names_the_alternative() -> None:
     with urlink.connect("sim://") as robot:
         held: Any = robot
         for part, name, hint in (
@@ -156,7 +156,7 @@ def test_methods_can_be_replaced_by_functions() -> None:
         assert motion.move_joints(None) == "replaced"
 
 
-def test_code_of_its_package_can_add_attributes() -> None:
+def test_code_of_the_defining_package_can_add_attributes() -> None:
     class Own(StrictAttributes):
         def __init__(self) -> None:
             self.count = 0
@@ -192,7 +192,7 @@ def test_plugins_can_have_any_attribute() -> None:
 # -- objects that are not connected yet ------------------------------------------------------------
 
 
-def test_opening_error_shows_how_to_connect() -> None:
+def test_unconnected_robot_raises_error_that_shows_async_with() -> None:
     opening: Any = urlink.connect_async("sim://")
     with pytest.raises(
         AttributeError, match="Opening has no attribute 'realtime'; it is not connected yet; write 'async"

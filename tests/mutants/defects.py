@@ -6,9 +6,9 @@ programs depend on:
     swap      two statements in a row are swapped
     late      a flag is set after the actions that follow it instead of before them
     expiry    a timeout or a deadline is removed
-    lock      a lock is held for one statement more or less
+    lock      a lock is held for one statement too many or too few
     forget    a notification, cancel, release, close or removal is forgotten
-    branch    one frame, link or other named case takes the branch of another one
+    branch    the branch for one frame, link or other named case is executed for another one
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ def _changed(source: str, kind: str) -> list[str]:
         ("branch", "g(link='rtde')", "g(link='reverse')"),
     ],
 )
-def test_defect_makes_the_expected_change(kind: str, before: str, after: str) -> None:
+def test_defect_changes_the_source_as_expected(kind: str, before: str, after: str) -> None:
     source, expected = (f"def f(self):\n{_indented(text)}" for text in (before, after))
     assert ast.unparse(ast.parse(expected)) in _changed(source, kind)
 
@@ -50,7 +50,7 @@ def _indented(text: str) -> str:
     ],
     ids=["dependent statements", "log calls", "constructor"],
 )
-def test_swap_skips_statements_without_a_visible_order(source: str) -> None:
+def test_swap_skips_statements_whose_order_does_not_matter(source: str) -> None:
     assert _changed(source, "swap") == []
 
 

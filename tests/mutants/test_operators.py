@@ -89,14 +89,14 @@ def test_mutated_module_differs_in_one_line() -> None:
 
 
 @pytest.mark.parametrize("name", GROUPS)
-def test_group_patterns_match_files(name: str) -> None:
+def test_every_group_pattern_matches_a_file(name: str) -> None:
     """A pattern that matches nothing after a module was renamed would silently leave out the module."""
     assert GROUPS[name].missing() == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", GROUPS)
-def test_equivalent_rows_match_the_source(name: str) -> None:
+def test_each_equivalent_mutant_row_matches_the_source(name: str) -> None:
     found = {
         path.relative_to(ROOT / "src").as_posix(): (defects if name == "drawn" else mutations)(
             path.read_text(encoding="utf-8")

@@ -122,7 +122,7 @@ def test_connect_raises_when_no_server_listens() -> None:
         asyncio.run(connect())
 
 
-def test_cancelled_syncs_leave_the_robot_in_step(host: Host) -> None:
+def test_sync_gets_its_own_reply_after_cancelled_syncs(host: Host) -> None:
     async def give_up() -> None:
         async with rhdlink.aio.connect(host.address) as robot:
             for _ in range(20):

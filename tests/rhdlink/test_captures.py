@@ -201,7 +201,7 @@ def test_encoding_reproduces_the_recorded_bytes(name: str) -> None:
     assert asked == recorded.from_client(name)
 
 
-def test_width_is_known_at_the_last_byte_of_the_handshake() -> None:
+def test_handshake_is_decoded_when_its_last_byte_arrives() -> None:
     for name, size in (("reader64", 1582), ("reader64naive", 1726)):
         stream = ServerDecoder()
         stream.feed(recorded.from_server(name)[: size - 1])

@@ -43,9 +43,11 @@ from rhdlink.address import Address, parse_address
 from rhdlink.connection import Connection
 from rhdlink.host.plugins.turtle import Turtle
 from rhdlink.replica import Replica
+from rhdlink.sync_thread import Subscribers
 from rhdlink.variables.database import Database, TimeStamp
 from rhdlink.wire.decoder import ServerDecoder
 from rhdlink.wire.messages import SymbolRow
+from tests import platforms
 from tests.fakes.rhd import Peer, Robot, ScriptedServer, endless, entries, nothing_more_after_greeting, serving
 from tests.rhdlink import recorded
 from tests.waiting import until
@@ -99,11 +101,11 @@ def test_recorded_server_is_read_as_by_the_original_client(name: str) -> None:
     recording, tables = Recording(name), recorded.printed(name)
 
     def script(peer: Peer) -> None:
-        peer.hear(b"ar")
-        peer.say(recording.handshake)
+        peer.expect(b"ar")
+        peer.send(recording.handshake)
         for batch in recording.batches:
-            peer.hear(b"rree")
-            peer.say(batch)
+            peer.expect(b"rree")
+            peer.send(batch)
         assert peer.is_left()
 
     with ScriptedServer(script) as server, rhdlink.connect(server.address) as robot:
@@ -130,8 +132,8 @@ def test_writer_sends_the_bytes_of_the_original_client(name: str) -> None:
     size = (len(asked) - 2) // 50
 
     def script(peer: Peer) -> None:
-        peer.hear(b"aw")
-        peer.say(recording.handshake)
+        peer.expect(b"aw")
+        peer.send(recording.handshake)
         for number, batch in enumerate(recording.batches):
             theirs, ours = asked[2 + number * size :][:size], peer.read(size)
             at = 8
@@ -141,7 +143,7 @@ def test_writer_sends_the_bytes_of_the_original_client(name: str) -> None:
                 )
                 at += 4 * (1 + width + length)
             assert ours == theirs
-            peer.say(batch)
+            peer.send(batch)
 
     with ScriptedServer(script) as server, rhdlink.connect(server.address, access="w") as robot:
         assert robot.access == "w"
@@ -157,8 +159,8 @@ def test_writer_sends_the_bytes_of_the_original_client(name: str) -> None:
 @pytest.mark.captures("rhd")
 def test_second_writer_is_denied_access() -> None:
     def script(peer: Peer) -> None:
-        peer.hear(b"aw")
-        peer.say(Recording("second_writer64").handshake)
+        peer.expect(b"aw")
+        peer.send(Recording("second_writer64").handshake)
         assert peer.is_left()
 
     with ScriptedServer(script) as server, pytest.raises(AccessDenied, match="refuses write access"):
@@ -170,15 +172,15 @@ def test_second_writer_can_fall_back_to_reading() -> None:
     recording = Recording("reader64")
 
     def refuse(peer: Peer) -> None:
-        peer.hear(b"aw")
-        peer.say(Recording("second_writer64").handshake)
+        peer.expect(b"aw")
+        peer.send(Recording("second_writer64").handshake)
         assert peer.is_left()  # the original would nevertheless serve the client as a writer
 
     def serve(peer: Peer) -> None:
-        peer.hear(b"ar")
-        peer.say(recording.handshake)
-        peer.hear(b"rree")
-        peer.say(recording.batches[0])
+        peer.expect(b"ar")
+        peer.send(recording.handshake)
+        peer.expect(b"rree")
+        peer.send(recording.batches[0])
 
     with (
         ScriptedServer(refuse, serve) as server,
@@ -194,8 +196,8 @@ def test_client_accepts_less_access_than_requested() -> None:
     robot_side = Robot()
 
     def script(peer: Peer) -> None:
-        peer.hear(b"aw")
-        peer.say(robot_side.database.encode_handshake("r"))
+        peer.expect(b"aw")
+        peer.send(robot_side.database.encode_handshake("r"))
 
     with ScriptedServer(script, script) as server:
         with rhdlink.connect(server.address, access="w", fallback="r") as robot:
@@ -207,21 +209,21 @@ def test_client_accepts_less_access_than_requested() -> None:
 @pytest.mark.real_time
 @pytest.mark.captures("rhd")
 @pytest.mark.parametrize("name", ["late_first_sync64", "late_first_sync_orig2014"])
-def test_late_first_sync_is_in_step(name: str) -> None:
+def test_first_sync_gets_its_own_reply_after_unsolicited_batch(name: str) -> None:
     """The unsolicited batch arrives before the first request: it is applied, and each sync gets its own reply."""
     recording = Recording(name)
     unasked, *answers = recording.batches
     is_connected, is_said = threading.Event(), threading.Event()
 
     def script(peer: Peer) -> None:
-        peer.hear(b"ar")
-        peer.say(recording.handshake)
+        peer.expect(b"ar")
+        peer.send(recording.handshake)
         assert is_connected.wait(10)
-        peer.say(unasked)
+        peer.send(unasked)
         is_said.set()
         for batch in answers:
-            peer.hear(b"rree")
-            peer.say(batch)
+            peer.expect(b"rree")
+            peer.send(batch)
 
     with ScriptedServer(script) as server, rhdlink.connect(server.address) as robot:
         is_connected.set()
@@ -245,11 +247,11 @@ def test_client_continues_after_a_corrupted_batch() -> None:
     recording = Recording("race_corrupted_reader64")
 
     def script(peer: Peer) -> None:
-        peer.hear(b"ar")
-        peer.say(recording.handshake)
+        peer.expect(b"ar")
+        peer.send(recording.handshake)
         for batch in recording.batches:
-            peer.hear(b"rree")
-            peer.say(batch)
+            peer.expect(b"rree")
+            peer.send(batch)
 
     with ScriptedServer(script) as server, rhdlink.connect(server.address) as robot:
         before = 0
@@ -263,7 +265,7 @@ def test_client_continues_after_a_corrupted_batch() -> None:
 # -- in step -----------------------------------------------------------------------------------
 
 
-def test_unsolicited_batch_that_crosses_a_request_is_absorbed(
+def test_unsolicited_batch_is_not_taken_as_the_reply(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The server sent the batch before it received the request, so the batch only looks like the reply."""
@@ -281,14 +283,14 @@ def test_unsolicited_batch_that_crosses_a_request_is_absorbed(
 
     def script(peer: Peer) -> None:
         side.greet(peer)
-        peer.hear(b"rree")
-        peer.say(side.batch(1))  # unsolicited
+        peer.expect(b"rree")
+        peer.send(side.batch(1))  # unsolicited
         assert is_settling.wait(10)
-        peer.say(side.batch(2))  # the reply, one tick later
+        peer.send(side.batch(2))  # the reply, one tick later
         for tick in range(3, 7):
-            peer.hear(b"rree")
+            peer.expect(b"rree")
             assert peer.hears_nothing()
-            peer.say(side.batch(tick))
+            peer.send(side.batch(tick))
 
     with ScriptedServer(script) as server, rhdlink.connect(server.address, Smr) as robot:
         robot.sync()
@@ -304,9 +306,9 @@ def test_each_sync_sends_exactly_one_request() -> None:
     def script(peer: Peer) -> None:
         side.greet(peer)
         for tick in range(1, 6):
-            peer.hear(b"rree")
+            peer.expect(b"rree")
             assert peer.hears_nothing()
-            peer.say(side.batch(tick))
+            peer.send(side.batch(tick))
         assert peer.is_left()
 
     with ScriptedServer(script) as server, rhdlink.connect(server.address, Smr) as robot:
@@ -315,19 +317,19 @@ def test_each_sync_sends_exactly_one_request() -> None:
             assert robot.tick == tick
 
 
-def test_flags_stay_until_the_next_batch_arrives() -> None:
+def test_fresh_flags_stay_set_until_the_next_batch_arrives() -> None:
     """A sync takes a tick, during which the flags can be read."""
     side = Robot()
     is_asked, may_answer = threading.Event(), threading.Event()
 
     def script(peer: Peer) -> None:
         side.greet(peer)
-        peer.hear(b"rree")
-        peer.say(side.batch(1, encl=5))
-        peer.hear(b"rree")
+        peer.expect(b"rree")
+        peer.send(side.batch(1, encl=5))
+        peer.expect(b"rree")
         is_asked.set()
         assert may_answer.wait(10)
-        peer.say(side.batch(2))
+        peer.send(side.batch(2))
         assert peer.is_left()
 
     with ScriptedServer(script) as server, rhdlink.connect(server.address, Smr) as robot:
@@ -342,19 +344,19 @@ def test_flags_stay_until_the_next_batch_arrives() -> None:
         assert not robot.fresh("encl")
 
 
-def test_value_set_in_the_loss_callback_is_sent() -> None:
+def test_value_set_in_the_loss_callback_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     with (
         ScriptedServer(lambda peer: Robot().greet(peer, "w")) as server,
         rhdlink.connect(server.address, Smr, access="w") as robot,
     ):
-        tell = robot._subscribers.tell
+        tell = Subscribers.tell
 
-        def stop(event: ConnectionEvent) -> None:
+        def stop(subscribers: Subscribers, event: ConnectionEvent) -> None:
             if event.state is ConnectionState.LOST:
                 robot.speedl = 0
-            tell(event)
+            tell(subscribers, event)
 
-        robot._subscribers.tell = stop  # type: ignore[method-assign,assignment]
+        monkeypatch.setattr(Subscribers, "tell", stop)
         robot.speedl = 1
         with pytest.raises(ConnectionLost):
             robot.sync()
@@ -380,12 +382,12 @@ def closed_while_it_syncs(robot: Smr, has_begun: threading.Event) -> BaseExcepti
     return error
 
 
-def test_close_wins_over_a_reconnect_in_progress() -> None:
+def test_robot_stays_closed_when_closed_during_a_reconnect() -> None:
     """Another thread is reconnecting at the time of the close."""
     is_greeted = threading.Event()
 
     def second(peer: Peer) -> None:
-        peer.hear(b"ar")
+        peer.expect(b"ar")
         is_greeted.set()
         assert peer.is_left()
 
@@ -413,18 +415,18 @@ def test_robot_does_not_reconnect_after_close() -> None:
                 use()
 
 
-def test_variables_of_all_batches_of_a_sync_are_fresh() -> None:
+def test_fresh_flags_cover_all_batches_of_a_sync() -> None:
     side = Robot()
     is_said = threading.Event()
 
     def script(peer: Peer) -> None:
         side.greet(peer)
-        peer.say(side.batch(1, encl=5))
+        peer.send(side.batch(1, encl=5))
         is_said.set()
-        peer.hear(b"rree")
-        peer.say(side.batch(2))
-        peer.hear(b"rree")
-        peer.say(side.batch(3))
+        peer.expect(b"rree")
+        peer.send(side.batch(2))
+        peer.expect(b"rree")
+        peer.send(side.batch(3))
 
     with ScriptedServer(script) as server, rhdlink.connect(server.address, Smr) as robot:
         assert not robot.fresh("encl")
@@ -448,10 +450,10 @@ def test_late_reply_is_received_before_the_next_request() -> None:
         assert without_stamps(peer.read(26)) == side.write(speedl=1)
         assert go_on.wait(10)
         assert peer.hears_nothing()
-        peer.say(side.batch(1))
+        peer.send(side.batch(1))
         # Only the newest value that was set meanwhile is sent, and only now.
         assert without_stamps(peer.read(26)) == side.write(speedl=300)
-        peer.say(side.batch(2))
+        peer.send(side.batch(2))
 
     with ScriptedServer(script) as server, rhdlink.connect(server.address, Smr, access="w") as robot:
         robot.speedl = 0.01
@@ -582,8 +584,8 @@ def nothing_more(peer: Peer) -> None:
 @pytest.mark.parametrize(
     ("says", "error", "reason"),
     [
-        (b"", LinkTimeout, "no handshake in time; received 0 bytes of it"),
-        (b"artw", LinkTimeout, "no handshake in time; received 4 bytes of it"),
+        (b"", LinkTimeout, "the handshake did not arrive in time; received 0 bytes of it"),
+        (b"artw", LinkTimeout, "the handshake did not arrive in time; received 4 bytes of it"),
         (b"SSH-2.0-OpenSSH\r\n", WrongPeer, "is not an RHD server"),
         (b"ar" + b"tr\0\0\0\0", PacketError, "expected 'tw'"),
         (b"artw\x7f\xff\xff\xff", PacketError, "counts 2147483647"),
@@ -591,8 +593,8 @@ def nothing_more(peer: Peer) -> None:
 )
 def test_connect_raises_the_reason_of_a_failed_handshake(says: bytes, error: type[Exception], reason: str) -> None:
     def script(peer: Peer) -> None:
-        peer.hear(b"ar")
-        peer.say(says)
+        peer.expect(b"ar")
+        peer.send(says)
         assert peer.is_left()
 
     with ScriptedServer(script) as server, pytest.raises(error, match=reason):
@@ -609,8 +611,8 @@ def test_connect_suggests_that_all_client_slots_are_in_use() -> None:
 
 def test_connect_raises_when_the_server_closes_early() -> None:
     def script(peer: Peer) -> None:
-        peer.hear(b"ar")
-        peer.say(b"artw\0\0")
+        peer.expect(b"ar")
+        peer.send(b"artw\0\0")
 
     with ScriptedServer(script) as server, pytest.raises(ConnectionLost, match="closed the connection"):
         rhdlink.connect(server.address)
@@ -694,23 +696,23 @@ def test_subscribe_rejects_invalid_arguments(arguments: tuple[Any, ...], options
 # -- connections that end ----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("ending", [Peer.reset, lambda peer: None, lambda peer: peer.say(b"dr\0\0\0\xff")])
+@pytest.mark.parametrize("ending", [Peer.reset, lambda peer: None, lambda peer: peer.send(b"dr\0\0\0\xff")])
 def test_client_reconnects_and_finds_variables_by_name(ending: Callable[[Peer], object]) -> None:
     before, after = Robot(), Robot(read=("new", "encl", "tick"), write=("speedr", "new", "speedl"))
 
     def first(peer: Peer) -> None:
         before.greet(peer, "w")
         peer.read(26)
-        peer.say(before.batch(1, encl=7))
+        peer.send(before.batch(1, encl=7))
         peer.read(26)
         ending(peer)
 
     def second(peer: Peer) -> None:
         after.greet(peer, "w")
         assert without_stamps(peer.read(26)) == after.write(speedl=300)
-        peer.say(after.batch(5, encl=8))
-        peer.hear(b"rwdw\0\0\0\0ee")
-        peer.say(after.batch(6))
+        peer.send(after.batch(5, encl=8))
+        peer.expect(b"rwdw\0\0\0\0ee")
+        peer.send(after.batch(6))
 
     with ScriptedServer(first, second) as server, rhdlink.connect(server.address, Smr, access="w") as robot:
         states: list[ConnectionState] = []
@@ -744,8 +746,8 @@ def test_unsent_values_are_discarded_when_the_connection_is_lost(caplog: pytest.
 
     def second(peer: Peer) -> None:
         side.greet(peer, "w")
-        peer.hear(b"rwdw\0\0\0\0ee")
-        peer.say(side.batch(1))
+        peer.expect(b"rwdw\0\0\0\0ee")
+        peer.send(side.batch(1))
 
     with ScriptedServer(first, second) as server, rhdlink.connect(server.address, Smr, access="w") as robot:
         robot.speedl = 1
@@ -765,12 +767,12 @@ def test_values_are_discarded_with_each_failed_reconnect(
     side = Robot()
 
     def leaves(peer: Peer) -> None:
-        peer.hear(b"aw")
+        peer.expect(b"aw")
 
     def last(peer: Peer) -> None:
         side.greet(peer, "w")
         assert without_stamps(peer.read(26)) == side.write(speedl=900)
-        peer.say(side.batch(1))
+        peer.send(side.batch(1))
 
     scripts = [lambda peer: side.greet(peer, "w"), leaves, leaves, leaves, last]
     with ScriptedServer(*scripts) as server, rhdlink.connect(server.address, Smr, access="w") as robot:
@@ -791,12 +793,12 @@ def test_values_can_be_kept_until_they_are_sent() -> None:
     side = Robot()
 
     def leaves(peer: Peer) -> None:
-        peer.hear(b"aw")
+        peer.expect(b"aw")
 
     def last(peer: Peer) -> None:
         side.greet(peer, "w")
         assert without_stamps(peer.read(42)) == side.write(speedl=100, speedr=7)
-        peer.say(side.batch(1))
+        peer.send(side.batch(1))
 
     scripts = [lambda peer: side.greet(peer, "w"), leaves, last]
     with (
@@ -820,7 +822,7 @@ def test_values_that_arrived_are_not_counted_as_discarded() -> None:
         side.greet(peer, "w")
         for tick in (1, 2):
             peer.read(26 if tick == 1 else 10)
-            peer.say(side.batch(tick))
+            peer.send(side.batch(tick))
 
     with ScriptedServer(script) as server, rhdlink.connect(server.address, Smr, access="w") as robot:
         robot.speedl = 1
@@ -831,13 +833,13 @@ def test_values_that_arrived_are_not_counted_as_discarded() -> None:
         assert robot.discarded == 0
 
 
-def test_kept_value_of_a_removed_variable_is_counted(caplog: pytest.LogCaptureFixture) -> None:
+def test_kept_value_counts_as_discarded_if_variable_is_removed(caplog: pytest.LogCaptureFixture) -> None:
     before, after = Robot(), Robot(write=("speedl",))
 
     def last(peer: Peer) -> None:
         after.greet(peer, "w")
-        peer.hear(b"rwdw\0\0\0\0ee")
-        peer.say(after.batch(1))
+        peer.expect(b"rwdw\0\0\0\0ee")
+        peer.send(after.batch(1))
 
     scripts = [lambda peer: before.greet(peer, "w"), last]
     with (
@@ -853,7 +855,7 @@ def test_kept_value_of_a_removed_variable_is_counted(caplog: pytest.LogCaptureFi
 
 
 @pytest.mark.real_time
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork on this system")
+@platforms.needs_fork
 def test_forked_child_cannot_sync_or_end_the_connection() -> None:
     with ScriptedServer(endless(Robot())) as server, rhdlink.connect(server.address, Smr) as robot:
         robot.sync()
@@ -900,7 +902,7 @@ def test_close_interrupts_a_sync_in_another_thread() -> None:
 
     def script(peer: Peer) -> None:
         Robot().greet(peer)
-        peer.hear(b"rree")
+        peer.expect(b"rree")
         is_asked.set()
         assert peer.is_left()
 
@@ -933,7 +935,7 @@ def test_sync_ends_even_if_the_server_floods() -> None:
         side.greet(peer)
         try:
             while True:
-                peer.say(side.batch(1) * 100)
+                peer.send(side.batch(1) * 100)
         except ConnectionError:
             pass
 

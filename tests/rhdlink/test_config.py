@@ -74,7 +74,7 @@ def test_missing_settings_have_the_defaults_of_the_host() -> None:
         ("synchronized", '<mode value="synchronized"/>', "lockstep"),
     ],
 )
-def test_scheduler_and_mode_give_the_pacing(kind: str, mode: str, pacing: str) -> None:
+def test_scheduler_and_mode_select_the_pacing(kind: str, mode: str, pacing: str) -> None:
     text = f'<rhd><scheduler><type value="{kind}"/></scheduler><server>{mode}</server></rhd>'
     assert parse_config(text).pacing == pacing
 

@@ -95,7 +95,7 @@ def wire(monkeypatch: pytest.MonkeyPatch) -> Wire:
         (1.0, 0.1),  # a robot that ticks once per second must not delay each connection that long
     ],
 )
-def test_connection_waits_once_after_the_first_reply(wire: Wire, period: float | None, seconds: float) -> None:
+def test_connection_waits_a_period_once_after_the_first_reply(wire: Wire, period: float | None, seconds: float) -> None:
     client = Client(wire)
     assert client.sync(None) == 0.0
     assert client.sync(period) == pytest.approx(seconds)
@@ -103,7 +103,7 @@ def test_connection_waits_once_after_the_first_reply(wire: Wire, period: float |
     assert (wire.requests, len(client.batches)) == (3, 3)
 
 
-def test_batch_that_arrives_during_the_wait_ends_it(wire: Wire) -> None:
+def test_wait_after_the_first_reply_ends_when_a_batch_arrives(wire: Wire) -> None:
     """The first reply was the unsolicited batch; the real reply follows one tick later, and later syncs do not wait."""
     client = Client(wire)
     client.sync(None)
@@ -113,7 +113,7 @@ def test_batch_that_arrives_during_the_wait_ends_it(wire: Wire) -> None:
     assert (wire.requests, len(client.batches)) == (3, 4)
 
 
-def test_batch_before_the_first_request_avoids_the_wait(wire: Wire) -> None:
+def test_sync_does_not_wait_if_a_batch_came_before_the_request(wire: Wire) -> None:
     client = Client(wire)
     wire.coming = [(0.0, BATCH)]
     assert client.sync(None) == 0.0
@@ -121,7 +121,7 @@ def test_batch_before_the_first_request_avoids_the_wait(wire: Wire) -> None:
     assert (wire.requests, len(client.batches)) == (2, 3)
 
 
-def test_wait_continues_in_the_next_sync_after_a_timeout(wire: Wire) -> None:
+def test_wait_after_the_first_reply_resumes_in_the_next_sync(wire: Wire) -> None:
     client = Client(wire)
     client.sync(None)
     with pytest.raises(LinkTimeout):

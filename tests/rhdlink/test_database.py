@@ -35,8 +35,8 @@ class DatabaseModel(RuleBasedStateMachine):
         self.updated, self.changed, self.fresh = set[int](), set[int](), set[int]()
         self.received = set[int]()
         self.set_here = set[int]()
-        self.told: list[DirtySet] = [DirtySet(count), DirtySet(count)]
-        self.untold: list[set[int]] = [set(), set()]
+        self.dirty_sets: list[DirtySet] = [DirtySet(count), DirtySet(count)]
+        self.unsent: list[set[int]] = [set(), set()]
 
     def some(self, data: st.DataObject) -> list[int]:
         everything = list(range(len(self.lengths)))
@@ -95,26 +95,26 @@ class DatabaseModel(RuleBasedStateMachine):
         self.received = set()
 
     @rule()
-    def tell(self) -> None:
+    def notify_peers(self) -> None:
         ids = self.table.dirty.take()
         assert ids.tolist() == sorted(self.set_here)
-        for dirty, untold in zip(self.told, self.untold, strict=True):
+        for dirty, unsent in zip(self.dirty_sets, self.unsent, strict=True):
             dirty.add_many(ids, ordered=True)
-            untold |= self.set_here
+            unsent |= self.set_here
         self.set_here = set()
 
     @rule(who=st.integers(0, 1), data=st.data())
     def tell_of_one(self, who: int, data: st.DataObject) -> None:
         identity = data.draw(st.integers(0, len(self.lengths) - 1))
-        self.told[who].add(identity)
-        self.untold[who].add(identity)
+        self.dirty_sets[who].add(identity)
+        self.unsent[who].add(identity)
 
     @rule(who=st.integers(0, 1))
     def take(self, who: int) -> None:
-        dirty = self.told[who]
-        assert bool(dirty) == bool(self.untold[who])
-        assert dirty.take().tolist() == sorted(self.untold[who])
-        self.untold[who] = set()
+        dirty = self.dirty_sets[who]
+        assert bool(dirty) == bool(self.unsent[who])
+        assert dirty.take().tolist() == sorted(self.unsent[who])
+        self.unsent[who] = set()
         assert not dirty
 
     @invariant()
@@ -159,7 +159,7 @@ def test_add_rejects_invalid_names_and_lengths(name: str, length: int) -> None:
 
 
 @pytest.mark.parametrize("identity", [-1, 2, 100])
-def test_table_rejects_invalid_ids(identity: int) -> None:
+def test_table_rejects_invalid_variable_ids(identity: int) -> None:
     table = VariableTable("r", [SymbolRow("a", 1), SymbolRow("b", 2)])
     for use in (
         lambda: table.set(identity, 1),
@@ -198,7 +198,7 @@ def test_find_returns_the_first_of_equal_names() -> None:
     assert "a" in table
 
 
-def test_selection_is_independent_of_its_source_array() -> None:
+def test_selection_does_not_change_with_its_source_array() -> None:
     table = VariableTable("r", [SymbolRow("a", 1), SymbolRow("b", 1)])
     ids = np.array([0])
     assert table.select(ids).ids.tolist() == [0]
@@ -206,7 +206,7 @@ def test_selection_is_independent_of_its_source_array() -> None:
     assert table.select(ids).ids.tolist() == [1]
 
 
-def test_equal_changes_of_two_observers_are_prepared_once() -> None:
+def test_equal_changes_for_two_observers_share_one_selection() -> None:
     table = VariableTable("r", [SymbolRow(f"v{number}", 1 + number % 3) for number in range(300)])
     table.set_many(table.select(range(300)), 5)
     ids = table.dirty.take()
@@ -217,7 +217,7 @@ def test_equal_changes_of_two_observers_are_prepared_once() -> None:
     assert table.select(ids) is table.select(ids)
 
 
-def test_now_lies_between_the_surrounding_times() -> None:
+def test_successive_times_of_the_database_never_decrease() -> None:
     before, stamp, after = now(), now(), now()
     assert before <= stamp <= after
     assert TimeStamp(3, 250_000).time == 3.25
@@ -234,7 +234,7 @@ def test_handshake_without_write_variables_is_decoded(count: int, width: int) ->
     assert (handshake.granted, handshake.write, len(handshake.read)) == (None, (), count)
 
 
-def test_table_rejects_other_directions() -> None:
+def test_table_rejects_directions_other_than_r_and_w() -> None:
     with pytest.raises(BadValue, match="expected 'r' or 'w'"):
         Database().table("x")
 

@@ -48,7 +48,7 @@ def bound() -> tuple[Everything, Database]:
     return everything, database
 
 
-def test_types_are_known_to_mypy() -> None:
+def test_mypy_infers_the_types_of_declared_variables() -> None:
     it, _ = bound()
     assert_type(it.whole, int)
     assert_type(it.line, NDArray[np.int32])
@@ -110,7 +110,7 @@ def test_bad_value_names_the_variable_and_sets_nothing() -> None:
     assert not database.read.dirty
 
 
-def test_order_is_set_by_the_class_or_the_declaration() -> None:
+def test_word_order_is_set_by_the_class_or_the_declaration() -> None:
     class Big(Declarations, order="big"):
         value = Read(Float64)
         other = Read(Float64, order="little")
@@ -207,7 +207,7 @@ def test_read_rejects_invalid_arguments(arguments: tuple[Any, ...], options: dic
         Read(*arguments, **options)
 
 
-def test_variable_must_not_hide_an_attribute_of_its_base() -> None:
+def test_variable_with_the_name_of_an_attribute_is_rejected() -> None:
     with pytest.raises(
         BadValue, match=r"Bad.sync would hide an attribute that every Variables object has; .* name='sync'"
     ):

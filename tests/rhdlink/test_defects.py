@@ -21,6 +21,7 @@ from rhdlink.host.server import MOST_NEW
 from rhdlink.variables.database import Database
 from rhdlink.variables.declarations import Read, Write
 from rhdlink.variables.value_types import Int32
+from tests import platforms
 from tests.rhdlink.raw_client import RawClient
 from tests.waiting import until
 
@@ -280,6 +281,7 @@ def test_11_index_equal_to_the_length_changes_no_neighbour(robot: Robot) -> None
 
 
 @pytest.mark.real_time
+@platforms.needs_reusable_ports
 def test_12_port_is_reusable_immediately_and_only_local(robot: Robot, own_port: int) -> None:
     with Host([robot], period=0.002, port=own_port):
         client = RawClient(own_port)
@@ -328,7 +330,7 @@ class Wide(Plugin):
         self.big = [tick] * 4000
 
 
-def test_15_client_that_does_not_read_delays_no_other() -> None:
+def test_15_client_that_does_not_read_delays_no_other_client() -> None:
     with Host([Wide()], period=0.002, port=0, client_timeout=30.0) as host, RawClient(host.port, b"") as deaf:
         deaf.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 16)
         deaf.send(b"ar")

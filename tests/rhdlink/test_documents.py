@@ -18,7 +18,7 @@ def test_differences_page_lists_the_tests_of_every_defect() -> None:
     assert [int(number) for number in re.findall(r"^\| (\d+) \|", page, re.MULTILINE)] == list(range(1, 18))
 
 
-def test_sections_cited_in_comments_exist() -> None:
+def test_sections_cited_in_rhdlink_comments_exist() -> None:
     page = (ROOT / "docs" / "protocols" / "rhd.md").read_text(encoding="utf-8")
     sections = set(re.findall(r"^#+ (.+)$", page, re.MULTILINE))
     cited = set()

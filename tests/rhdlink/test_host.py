@@ -25,9 +25,11 @@ from rhdlink.host.config import BadConfiguration, Element, parse_config
 from rhdlink.host.host import Host, HostFailed, HostStatistics, PluginFailed
 from rhdlink.host.plugin import Plugin
 from rhdlink.host.server import TickSchedule
+from rhdlink.host.service import Service
 from rhdlink.smrcl.robot_link import PluginLink
 from rhdlink.variables.declarations import Read, Write
 from rhdlink.variables.value_types import Int32
+from tests import platforms
 from tests.fakes.clock import Clock
 from tests.rhdlink.raw_client import RawClient
 from tests.waiting import until
@@ -135,15 +137,17 @@ class Boom(BaseException):
 
 
 @pytest.mark.parametrize("error", [ValueError("boom"), SystemExit(3), Boom()])
-def test_unexpected_exception_is_raised_by_wait(error: BaseException, caplog: pytest.LogCaptureFixture) -> None:
+def test_unexpected_exception_is_raised_by_wait(
+    error: BaseException, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     notes: list[str] = []
     with Host([Noted("a", notes)], port=0, pacing="lockstep") as host, RawClient(host.port) as client:
         client.greeting()
 
-        def boom() -> list[Any]:
+        def boom(service: Service) -> list[Any]:
             raise error
 
-        host._service.sync = boom  # type: ignore[method-assign]
+        monkeypatch.setattr(Service, "sync", boom)
         client.send(b"rree")
         with pytest.raises(HostFailed, match=f"the host ended because of {type(error).__name__}") as caught:
             host.wait(10.0)
@@ -169,7 +173,7 @@ class Exits(Plugin):
             sys.exit("enough")
 
 
-def test_plugin_that_calls_exit_has_failed() -> None:
+def test_sys_exit_in_a_plugin_raises_plugin_failed() -> None:
     notes: list[str] = []
     with Host([Noted("a", notes), Exits("periodic")], port=0, period=0.001) as host:
         with pytest.raises(PluginFailed, match="exits failed in periodic: SystemExit: enough"):
@@ -215,7 +219,7 @@ def test_ctrl_c_in_a_plugin_ends_a_foreground_host_in_order() -> None:
         host.wait(0.0)
 
 
-def test_close_reports_a_plugin_that_does_not_return() -> None:
+def test_close_reports_a_plugin_that_does_not_return(monkeypatch: pytest.MonkeyPatch) -> None:
     class Hangs(Plugin):
         released = threading.Event()
 
@@ -223,11 +227,11 @@ def test_close_reports_a_plugin_that_does_not_return() -> None:
             self.released.wait(60.0)
 
     host = Host([Hangs()], port=0).start()
-    assert host._thread is not None
     waited: list[float | None] = []
-    host._thread.join = waited.append  # type: ignore[assignment]
-    with pytest.raises(LinkTimeout, match="the host has not ended within 10 s: a plugin does not respond"):
-        host.close()
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "join", lambda thread, timeout=None: waited.append(timeout))
+        with pytest.raises(LinkTimeout, match="the host has not ended within 10 s: a plugin does not respond"):
+            host.close()
     assert waited == [10.0]
     Hangs.released.set()
     assert host.wait(10.0)
@@ -370,7 +374,7 @@ def test_lockstep_makes_a_tick_for_each_queued_request() -> None:
             assert master.value("tick") == tick
 
 
-def test_lockstep_replies_before_it_rejects_later_nonsense() -> None:
+def test_lockstep_replies_before_it_rejects_later_invalid_bytes() -> None:
     with Host([Echo()], port=0, pacing="lockstep") as host, RawClient(host.port) as reader:
         reader.greeting()
         reader.send(b"rreexx")
@@ -424,7 +428,7 @@ def test_lockstep_readers_wait_for_ticks_of_the_master() -> None:
         assert 1 < reader.value("tick") <= 21
 
 
-def test_update_takes_effect_in_the_next_round() -> None:
+def test_value_of_the_master_takes_effect_in_the_next_tick() -> None:
     with Host([Echo()], port=0, pacing="lockstep") as host, RawClient(host.port, b"aw") as master:
         master.greeting()
         master.sync({"order": 5})
@@ -554,7 +558,7 @@ def test_idle_reader_keeps_its_slot_unless_needed_and_old() -> None:
         assert host.stats.evicted_clients == 0
 
 
-def test_slot_of_the_master_is_free_after_it_leaves() -> None:
+def test_slot_of_the_master_is_free_after_its_disconnection() -> None:
     with Host([Echo()], port=0, period=0.002) as host, ExitStack() as stack:
         with RawClient(host.port, b"aw") as master:
             assert master.greeting().granted == "w"
@@ -775,7 +779,9 @@ def test_host_defaults_suit_the_original_clients() -> None:
         ("synchronized", '<mode value="synchronized"/>', "lockstep", False),
     ],
 )
-def test_scheduler_and_mode_of_a_file_set_the_pacing(kind: str, mode: str, pacing: str, synchronized: bool) -> None:
+def test_scheduler_and_server_mode_in_a_file_set_the_pacing(
+    kind: str, mode: str, pacing: str, synchronized: bool
+) -> None:
     text = f'<rhd><scheduler><type value="{kind}"/></scheduler><server>{mode}</server></rhd>'
     host = Host.from_config(parse_config(text))
     assert (host._pacing, host._synchronized) == (pacing, synchronized)
@@ -909,7 +915,7 @@ def test_start_raises_when_the_address_cannot_be_used() -> None:
 
 
 @pytest.mark.real_time
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork on this system")
+@platforms.needs_fork
 def test_forked_child_does_not_end_the_host_of_its_parent() -> None:
     with Host([Echo()], port=0, period=0.002) as host, RawClient(host.port) as client:
         client.greeting()

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import gc
+import weakref
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -42,7 +44,10 @@ def test_closed_subscription_gets_nothing_more(host: rhdlink.Host) -> None:
         subscription.close()
         count = len(updates)
         robot.sync()
-        assert robot._subscribers._subscribers == ()
+        closed = weakref.ref(subscription)
+        del subscription
+        gc.collect()
+        assert closed() is None
     assert len(updates) == count
 
 
@@ -91,7 +96,7 @@ def adopt_reversed(replica: Replica) -> None:
         replica.adopt(database)
 
 
-def test_value_matches_its_name_when_the_order_changes(host: rhdlink.Host, replica: Replica) -> None:
+def test_value_belongs_to_its_name_after_a_reordering(host: rhdlink.Host, replica: Replica) -> None:
     with rhdlink.connect(host.address) as robot:
         robot._replica = replica
         lock = replica.lock
@@ -120,7 +125,7 @@ def test_flags_of_a_batch_stay_until_the_next_is_applied(replica: Replica) -> No
     assert not updated[0]
 
 
-def test_subscriber_queue_is_used_by_one_thread_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_subscriber_queue_is_filled_by_one_thread_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
     inside, most = [0], [0]
     threads: list[Any] = []
     subscribers = Subscribers("robot")

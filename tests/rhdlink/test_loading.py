@@ -43,7 +43,7 @@ class Otherwise(Variables):
 
 
 @pytest.mark.simulated_time
-def test_load_returns_columns_of_words_or_declared_types(tmp_path: Path) -> None:
+def test_load_returns_columns_as_words_or_as_declared_types(tmp_path: Path) -> None:
     path = tmp_path / "drive.urlog"
     with (
         Host([Counting()], port=0, pacing="lockstep") as host,

@@ -42,7 +42,7 @@ def read_table(path: Path) -> tuple[list[str], list[list[str]]]:
     return head, rows
 
 
-def test_table_has_every_tick_and_every_value(tmp_path: Path) -> None:
+def test_logger_table_has_every_tick_and_every_value(tmp_path: Path) -> None:
     logger = Logger(tmp_path / "drive.csv")
     drive(logger)
     head, rows = read_table(tmp_path / "drive.csv")
@@ -119,7 +119,7 @@ def test_recording_contains_the_bytes_of_a_reader(tmp_path: Path) -> None:
     assert batches == [[number, number, 2 * number, number] for number in range(6)]
 
 
-def test_every_option_skips_ticks(tmp_path: Path) -> None:
+def test_logger_with_every_3_writes_every_third_tick(tmp_path: Path) -> None:
     drive(Logger(tmp_path / "drive.csv", every=3), 7)
     assert [row[1] for row in read_table(tmp_path / "drive.csv")[1]] == ["0", "3", "6"]
 

@@ -75,10 +75,10 @@ NAMES = [
 #: This file, as named in the messages.
 HERE = "tests/rhdlink/test_public_names.py"
 #: Modules with further public names.
-MODULES = ["host", "robots", "smrcl", "variables"]
+MODULES = ["host", "mqtt", "robots", "smrcl", "variables"]
 
 
-def test_public_names() -> None:
+def test_public_names_equal_the_list() -> None:
     assert_listed(vars(rhdlink)["__all__"], NAMES, f"NAMES in {HERE}")
     assert_listed(dir(rhdlink), [*NAMES, *MODULES], f"NAMES or MODULES in {HERE}")
     assert sorted(set(NAMES)) == NAMES
@@ -139,7 +139,7 @@ SURFACES: list[tuple[object, str]] = [
 
 
 @pytest.mark.parametrize(("held", "names"), SURFACES)
-def test_public_attributes_of_each_class(held: object, names: str) -> None:
+def test_public_attributes_of_each_class_equal_the_list(held: object, names: str) -> None:
     there = [name for name in dir(held) if not name.startswith("_")]
     assert_listed(there, names.split(), f"the row of {held!r} of SURFACES in {HERE}")
 

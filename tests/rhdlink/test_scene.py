@@ -32,7 +32,7 @@ def test_tape_has_its_brightness_and_width() -> None:
     assert seen(scene, (0.5, 0.0)) == [0.5]
 
 
-def test_floor_may_be_dark() -> None:
+def test_scene_accepts_a_dark_floor_with_bright_tape() -> None:
     scene = Scene([Tape(((0.0, 0.0), (1.0, 0.0)), brightness=1.0)], floor=0.2)
     assert seen(scene, (0.5, 0.0), (0.5, 0.5)) == [1.0, 0.2]
 
@@ -52,7 +52,9 @@ def test_wall_is_detected_at_its_distance() -> None:
     x=st.floats(-5, 5), y=st.floats(-5, 5), angle=st.floats(-4, 4), walls=st.integers(1, 60), seed=st.integers(0, 999)
 )
 @pytest.mark.property
-def test_wall_distance_does_not_depend_on_their_number(x: float, y: float, angle: float, walls: int, seed: int) -> None:
+def test_distance_to_nearest_wall_does_not_depend_on_wall_count(
+    x: float, y: float, angle: float, walls: int, seed: int
+) -> None:
     """Few walls are checked one by one, many walls all at once."""
     ends = np.random.default_rng(seed).uniform(-4, 4, (walls, 2, 2))
     scene = Scene(walls=[[(a[0], a[1]), (b[0], b[1])] for a, b in ends])
@@ -102,7 +104,7 @@ def points(scene: Scene) -> list[tuple[float, float]]:
         ('<g><g><line x1="2" y1="2" x2="4" y2="2"/></g></g>', [(1, 4), (2, 4)]),
     ],
 )
-def test_shapes_become_tape(tmp_path: Path, shape: str, expected: list[tuple[float, float]]) -> None:
+def test_svg_shapes_become_tape_in_metres(tmp_path: Path, shape: str, expected: list[tuple[float, float]]) -> None:
     """The view box becomes the world: a width of 20 becomes 10 m, and y points up from the lower edge."""
     assert points(drawn(tmp_path, shape)) == expected
 
@@ -116,7 +118,7 @@ def test_curves_become_straight_segments(tmp_path: Path) -> None:
     assert len(scene.tapes[0].points) > 10
 
 
-def test_strokes_define_width_brightness_and_walls(tmp_path: Path) -> None:
+def test_svg_strokes_define_tape_width_brightness_and_walls(tmp_path: Path) -> None:
     scene = drawn(
         tmp_path,
         '<line x1="0" y1="0" x2="9" y2="0" stroke="#fff" stroke-width="0.2"/>'

@@ -19,6 +19,7 @@ from rhdlink.host.server import MOST_NEW, Server
 from rhdlink.host.service import AHEAD, Client, Service
 from rhdlink.variables.database import Database
 from rhdlink.wire.messages import SymbolRow
+from tests import platforms
 from tests.fakes.clock import Clock
 from tests.rhdlink.raw_client import RawClient
 from tests.waiting import until
@@ -84,7 +85,7 @@ class Stand:
         client.greeting()
         return client
 
-    def say(self, client: RawClient, data: bytes) -> None:
+    def deliver(self, client: RawClient, data: bytes) -> None:
         """Send bytes of the client, and wait until the server has read them."""
         ours = self._client(client)
         before = ours.decoder.offset + ours.decoder.waiting
@@ -93,7 +94,7 @@ class Stand:
 
     def sync(self, client: RawClient) -> int:
         """Let the client send a request and receive the reply; return the tick in the reply."""
-        self.say(client, b"rree")
+        self.deliver(client, b"rree")
         self.tick()
         client.batch()
         return client.value("tick")
@@ -162,9 +163,9 @@ def test_partial_request_does_not_extend_the_deadline(stand: Stand) -> None:
     """Otherwise a client that sends single bytes could keep its connection forever."""
     client = stand.join()
     for byte in (b"r", b"r", b"r"):
-        stand.say(client, byte)
+        stand.deliver(client, byte)
         stand.sleep(TIMEOUT / 4)
-    stand.say(client, b"r")
+    stand.deliver(client, b"r")
     stand.sleep(TIMEOUT / 4 - 0.1)
     assert stand.is_open(client)
     stand.sleep(0.2)
@@ -174,11 +175,11 @@ def test_partial_request_does_not_extend_the_deadline(stand: Stand) -> None:
 
 def test_complete_request_extends_the_deadline(stand: Stand) -> None:
     client = stand.join()
-    stand.say(client, b"r")
+    stand.deliver(client, b"r")
     for _ in range(5):
         stand.sleep(TIMEOUT - 0.1)
         # The bytes complete a request and begin the next one.
-        stand.say(client, b"reer")
+        stand.deliver(client, b"reer")
         stand.tick()
         client.batch()
     stand.sleep(TIMEOUT - 0.1)
@@ -189,8 +190,8 @@ def test_complete_request_extends_the_deadline(stand: Stand) -> None:
 
 def test_client_between_requests_may_be_silent_forever(stand: Stand) -> None:
     client = stand.join(b"aw")
-    stand.say(client, b"rw")
-    stand.say(client, b"ee")
+    stand.deliver(client, b"rw")
+    stand.deliver(client, b"ee")
     stand.tick()
     client.batch()
     stand.sleep(1e6)
@@ -237,7 +238,7 @@ def deaf(stand: Stand) -> RawClient:
     for _ in range(1000):
         if not stand.is_reading(client):
             return client
-        stand.say(client, b"rree")
+        stand.deliver(client, b"rree")
         stand.tick()
     raise AssertionError("the kernel accepts any amount of data")
 
@@ -245,7 +246,7 @@ def deaf(stand: Stand) -> RawClient:
 def test_server_stops_reading_from_a_client_that_does_not_read(stand: Stand) -> None:
     client, other = deaf(stand), stand.join()
     asked = int(stand.database.read.value(0)[0])
-    stand.say(client, b"rree")
+    stand.deliver(client, b"rree")
     for number in range(1, 11):
         assert stand.sync(other) == asked + number
     # The requests read earlier are pending: at most one reply exceeds the buffers of the kernel.
@@ -295,10 +296,10 @@ def test_client_that_has_read_everything_has_no_deadline(stand: Stand) -> None:
 
 def test_lockstep_does_not_wait_for_a_client_that_does_not_read(stand: Stand) -> None:
     client = deaf(stand)
-    stand.say(client, b"rree")
+    stand.deliver(client, b"rree")
     assert not stand.service.is_asked
     other = stand.join()
-    stand.say(other, b"rree")
+    stand.deliver(other, b"rree")
     assert stand.service.is_asked
 
 
@@ -337,7 +338,8 @@ def test_only_rejected_clients_are_logged_as_warnings(stand: Stand, caplog: pyte
     client.send(b"nonsense")
     stand.serve(lambda: not stand.service.clients)
     # The connection is reset, so the host keeps no data that the client does not read.
-    with pytest.raises(ConnectionResetError):
+    # Under Wine, `recv` reports a reset as an orderly end, and the client raises its own ConnectionError.
+    with pytest.raises(ConnectionError if platforms.IS_WINE else ConnectionResetError):
         client.batch()
     levels = [record.levelname for record in caplog.records if record.name == "rhdlink.host.server"]
     assert levels == ["INFO", "WARNING"]
@@ -346,7 +348,7 @@ def test_only_rejected_clients_are_logged_as_warnings(stand: Stand, caplog: pyte
 
 def test_client_that_resets_during_its_reply_is_removed(stand: Stand) -> None:
     client, other = stand.join(b"aw"), stand.join()
-    stand.say(client, b"rwee")
+    stand.deliver(client, b"rwee")
     client.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     client.close()
     stand.tick()  # the connection has been reset, but the server has not noticed it yet
@@ -356,9 +358,9 @@ def test_client_that_resets_during_its_reply_is_removed(stand: Stand) -> None:
     stand.sync(other)
 
 
-def test_queued_nonsense_is_found_after_the_previous_reply(stand: Stand) -> None:
+def test_queued_invalid_bytes_close_client_after_previous_reply(stand: Stand) -> None:
     client = stand.join()
-    stand.say(client, b"rreexx")
+    stand.deliver(client, b"rreexx")
     assert stand.service.bad_clients == 0
     stand.tick()
     assert stand.service.bad_clients == 1
@@ -417,7 +419,7 @@ def test_slot_of_the_longest_idle_reader_is_reused(stand: Stand) -> None:
     assert stand.service.writers == 1
     stand.sync(newcomer)
     stand.sync(first)
-    stand.say(master, b"rwee")
+    stand.deliver(master, b"rwee")
     stand.tick()
     master.batch()
     assert (stand.service.refused_clients, stand.server.evicted) == (2, 1)
@@ -449,7 +451,7 @@ def test_only_complete_requests_keep_a_slot(stand: Stand) -> None:
     stand.sleep(INACTIVITY)
     for client in clients[1:]:
         stand.sync(client)
-    stand.say(clients[0], b"rr")
+    stand.deliver(clients[0], b"rr")
     stand.join()
     assert not stand.is_open(clients[0])
 
@@ -460,7 +462,7 @@ def test_writer_replaces_an_idle_reader(stand: Stand) -> None:
     stand.sleep(INACTIVITY)
     master = stand.join(b"aw")
     assert stand.service.writers == 1
-    stand.say(master, b"rwee")
+    stand.deliver(master, b"rwee")
     stand.tick()
     master.batch()
 

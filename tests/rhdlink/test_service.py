@@ -141,7 +141,7 @@ def test_reader_receives_the_values_of_the_master(recorded: Path) -> None:
         assert replies[master] == b"dr" + raw.partition(b"dr")[2]
 
 
-def test_allwriters_sends_each_writer_its_own_values_too(recorded: Path) -> None:
+def test_allwriters_also_sends_a_writer_its_own_values(recorded: Path) -> None:
     recordings = [connection(recorded, f"allwriters64_{letter}") for letter in "AB"]
     ours = Original(recordings[0], allwriters=True)
     clients = []

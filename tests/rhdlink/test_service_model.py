@@ -346,7 +346,7 @@ def test_last_requests_of_a_writer_are_applied_once() -> None:
     assert not database.write.updated[0]
 
 
-def test_four_kilobytes_are_read_ahead_of_the_reply() -> None:
+def test_service_buffers_four_kilobytes_before_it_has_replied() -> None:
     served, _ = service()
     client = granted(served, b"arrree")
     served.receive(client, bytes(4096))
@@ -355,7 +355,7 @@ def test_four_kilobytes_are_read_ahead_of_the_reply() -> None:
     assert not client.may_send
 
 
-def test_service_fixes_its_slots_and_variables() -> None:
+def test_service_limits_slots_and_accepts_no_variables_later() -> None:
     database = Database([SymbolRow("tick", 1)])
     assert Service(database, clients=10_000).slots == 10_000
     with pytest.raises(BadValue, match="clients"):
@@ -389,13 +389,13 @@ def test_slot_taken_during_a_handshake_is_not_reused() -> None:
     assert slow is not None
     granted(served)
     assert served.receive(slow, b"ar") == b""
-    assert slow.failure == "all slots were taken meanwhile"
+    assert slow.failure == "no free slot was left when access was requested"
     assert (served.refused_clients, served.bad_clients) == (1, 0)
     assert slow.slot is None
 
 
 @pytest.mark.parametrize("width", [2, 4])
-def test_request_may_exceed_all_variables_by_a_kilobyte(width: int) -> None:
+def test_request_size_limit_is_all_variables_plus_a_kilobyte(width: int) -> None:
     served, database = service(width=width)
     every = database.write.encode(np.arange(len(database.write)), width)
     fill = b"rw" * ((1024 - 6 - 2) // 2)  # without the head of the package and the end

@@ -89,8 +89,8 @@ def test_sync_thread_reconnects() -> None:
 
     def fails(peer: Peer) -> None:
         side.greet(peer)
-        peer.hear(b"rree")
-        peer.say(side.batch(1))
+        peer.expect(b"rree")
+        peer.send(side.batch(1))
 
     with ScriptedServer(fails, fails, endless(side)) as server, rhdlink.connect(server.address, Smr) as robot:
         with robot.background(backoff=Backoff(first=0)) as sync_thread:
@@ -149,11 +149,11 @@ def test_backoff_restarts_after_a_successful_sync() -> None:
 
     def answers_once(peer: Peer) -> None:
         side.greet(peer)
-        peer.hear(b"rree")
-        peer.say(side.batch(1))
+        peer.expect(b"rree")
+        peer.send(side.batch(1))
 
     def leaves(peer: Peer) -> None:
-        peer.hear(b"ar")
+        peer.expect(b"ar")
 
     scripts = [answers_once, leaves] * 4
     with ScriptedServer(*scripts, endless(side)) as server, rhdlink.connect(server.address, Smr) as robot:

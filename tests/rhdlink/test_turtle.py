@@ -116,7 +116,7 @@ def lockstep(turtle: Plugin) -> Host:
     return Host([turtle], port=0, pacing="lockstep")
 
 
-def test_wall_also_stops_the_counters() -> None:
+def test_encoder_counters_stop_when_the_turtle_hits_a_wall() -> None:
     turtle = Turtle(World(1.0), linear_scale=1000.0)
     with lockstep(turtle) as host, RawClient(host.port, b"aw") as master:
         master.greeting()
@@ -214,7 +214,7 @@ def test_world_is_configured_in_the_host_file() -> None:
         assert (turtle.world.size, tuple(turtle.world.start)) == (4.0, (1.0, 2.0, 0.5))
 
 
-def test_given_world_overrides_the_file() -> None:
+def test_world_argument_overrides_the_world_in_the_file() -> None:
     turtle = Turtle(World(3.0))
     turtle.init(Element("turtle", {"size": "5"}))
     assert turtle.world.size == 3.0

@@ -249,7 +249,7 @@ def test_scaled_rejects_invalid_scales(scale: float) -> None:
         Scaled(scale)
 
 
-def test_millionths_have_the_sign_in_both_words() -> None:
+def test_millionths_pack_the_sign_into_both_words() -> None:
     for value, words in ((12.5, [12, 500000]), (-12.5, [-12, -500000]), (-0.25, [0, -250000]), (1.9999999, [2, 0])):
         assert Millionths.pack(value, "little").tolist() == words
         assert Millionths.unpack(np.array(words, np.int32), "little") == pytest.approx(value, abs=1e-6)

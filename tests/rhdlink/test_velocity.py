@@ -46,7 +46,7 @@ def test_dead_band_applies_only_to_the_forward_velocity(commanded: int, linear: 
         assert twists == [(linear, 1 / 40000)]
 
 
-def test_scales_are_settings() -> None:
+def test_velocity_bridge_applies_the_scale_settings() -> None:
     twists: list[Twist] = []
     bridge = VelocityBridge(
         twists.append,
@@ -99,7 +99,7 @@ def test_bridge_rejects_an_argument_that_is_not_a_function() -> None:
         VelocityBridge(3)  # type: ignore[arg-type]
 
 
-def test_slow_function_delays_no_tick_and_gets_the_newest() -> None:
+def test_slow_function_gets_newest_velocity_and_delays_no_tick() -> None:
     twists: list[Twist] = []
     entered, go_on = threading.Event(), threading.Event()
 
@@ -146,7 +146,7 @@ def test_function_that_raises_is_called_again(caplog: pytest.LogCaptureFixture) 
     assert "no wheels" in caplog.text
 
 
-def test_bridge_stops_without_a_master_and_restarts() -> None:
+def test_velocity_bridge_stops_without_a_master_and_restarts() -> None:
     twists: list[Twist] = []
     with lockstep(VelocityBridge(twists.append, own_thread=False)) as host, RawClient(host.port) as reader:
         reader.greeting()

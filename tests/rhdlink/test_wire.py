@@ -180,7 +180,7 @@ def test_64_bit_time_stamps_are_decoded() -> None:
     assert found[1][1][2] == [list(late)]  # type: ignore[index]
 
 
-def test_last_entry_of_a_repeated_variable_wins() -> None:
+def test_last_entry_of_a_repeated_variable_is_used() -> None:
     database = Database(write=[SymbolRow("a", 1), SymbolRow("b", 2)])
     stream = ClientDecoder(database.write.layout)
     entry = struct.Struct(">iiii")
@@ -385,7 +385,7 @@ def test_too_large_package_is_rejected_before_it_arrives() -> None:
         assert ("no end within" in str(found[-1])) == (len(rows) > 1000)
 
 
-def test_package_with_known_variables_reuses_its_selection(
+def test_decoder_reuses_selection_if_variables_are_the_same(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """With eleven kinds of packages, including an empty one, the first is forgotten when the eleventh arrives."""
@@ -432,7 +432,7 @@ def test_decoders_reject_invalid_widths(width: int) -> None:
         ClientDecoder(TableLayout([1]), width=width)
 
 
-def test_largest_row_is_encoded() -> None:
+def test_largest_allowed_row_is_encoded() -> None:
     assert encode_table("r", [SymbolRow("n" * 32, 2**31 - 1)]) == b"tr\0\0\0\1\x7f\xff\xff\xff" + b"n" * 32 + b"\0"
 
 
@@ -536,7 +536,7 @@ def test_corrupted_handshake_result_does_not_depend_on_chunking(
 
 @pytest.mark.property
 @given(st.data())
-def test_many_entries_can_be_cut_anywhere(data: st.DataObject) -> None:
+def test_package_with_many_entries_decodes_when_split_anywhere(data: st.DataObject) -> None:
     """Data remembered from the last package speeds up the next one, but must never change it."""
     count = data.draw(st.integers(2, 40))
     sizes = data.draw(st.lists(st.integers(1, 3), min_size=count, max_size=count))

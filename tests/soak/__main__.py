@@ -1,9 +1,9 @@
-"""Workloads side by side for a long time: memory, descriptors, threads and objects have to stay flat.
+"""Run workloads for a long time; their memory, descriptors, threads and objects must not grow.
 
-Run it by ``nox -f nightly.py -s soak``.
+Run it with ``nox -f nightly.py -s soak``.
 
-Each workload has a process of its own, so that a growth is told by its name. Exits with 1 if anything grows, or if a
-workload fails.
+Each workload runs in its own process, so that the report names the workload that grows. The program exits with 1 if
+anything grows, or if a workload fails.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from tests.soak.workloads import WORKLOADS, Workload
 
 NAMES = [each.__name__ for each in WORKLOADS]
 
-#: Samples below which a run is too short for a trend.
+#: Minimum number of samples; a shorter run shows no trend.
 LEAST_SAMPLES = 20
 
 
 class Rounds:
-    """Does the rounds of one workload, in a thread, until it is told to end or until one fails."""
+    """Repeats one workload in a thread, until `end` is called or a round fails."""
 
     def __init__(self, workload: Workload) -> None:
         self._workload = workload
@@ -50,13 +50,13 @@ class Rounds:
         self.ended.set()
         self._thread.join(timeout)
         if self._thread.is_alive():
-            self.failure = f"the round does not end within {timeout:g} s"
+            self.failure = f"the round did not end within {timeout:g} s"
 
 
 def run(workload: Workload, seconds: float, interval: float) -> bool:
-    """Whether the workload went on to the end and everything stayed flat; prints what came of it."""
+    """Run a workload and print the result; return whether it ran to the end and nothing grew."""
     rounds = Rounds(workload)
-    # As bare numbers: each sample that was kept as an object would count in those that follow.
+    # Store plain numbers: stored objects would be counted in the following samples.
     taken = array.array("d")
     begin = time.monotonic()
     while not rounds.ended.wait(interval) and time.monotonic() - begin < seconds:
@@ -81,15 +81,17 @@ def run(workload: Workload, seconds: float, interval: float) -> bool:
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="soak", description=__doc__)
-    parser.add_argument("--minutes", type=float, default=20.0, help="how long (%(default)g)")
-    parser.add_argument("--interval", type=float, default=5.0, help="seconds between samples (%(default)g)")
+    parser.add_argument("--minutes", type=float, default=20.0, help="duration in minutes (default: %(default)g)")
+    parser.add_argument("--interval", type=float, default=5.0, help="seconds between samples (default: %(default)g)")
     parser.add_argument("--in-process", action="store_true", help=argparse.SUPPRESS)
-    parser.add_argument("names", nargs="*", metavar="WORKLOAD", help=f"of {', '.join(NAMES)}; all by default")
+    parser.add_argument(
+        "names", nargs="*", metavar="WORKLOAD", help=f"workloads to run, of {', '.join(NAMES)} (default: all)"
+    )
     options = parser.parse_args()
     if sys.platform != "linux":
-        parser.error("memory, descriptors and threads are read from /proc, which Linux has")
+        parser.error("this program reads memory, descriptors and threads from /proc, so it needs Linux")
     if unknown := set(options.names) - set(NAMES):
-        parser.error(f"no workload {', '.join(unknown)}; there are {', '.join(NAMES)}")
+        parser.error(f"unknown workload {', '.join(unknown)}; expected some of {', '.join(NAMES)}")
     if options.in_process:
         (chosen,) = (each for each in WORKLOADS if each.__name__ in options.names)
         return 0 if run(chosen, 60 * options.minutes, options.interval) else 1

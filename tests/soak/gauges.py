@@ -1,4 +1,4 @@
-"""What a process holds of the machine, over time, and whether it grows."""
+"""Resources that a process uses over time, and the check that they do not grow."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ PAGE = os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else 4096
 
 
 class Sample(NamedTuple):
-    #: seconds since the beginning
+    #: time since the start, in s
     at: float
-    #: resident memory, MB
+    #: resident memory, in MB
     memory: float
-    #: open descriptors
+    #: number of open descriptors
     descriptors: float
-    #: threads, those of C libraries included
+    #: number of threads, including threads of C libraries
     threads: float
-    #: containers that the garbage collector knows
+    #: number of containers that the garbage collector tracks
     objects: float
-    #: blocks of memory that Python's allocator has handed out: what is alive, where resident memory also counts what is
-    #: free and has not been given back to the system
+    #: number of memory blocks that Python's allocator has in use; resident memory also includes free blocks that were
+    #: not returned to the system
     blocks: float
 
 
 def sample(at: float) -> Sample:
-    """Of this process. Garbage is collected before, so that only what is still reachable counts."""
+    """Measure this process. Garbage is collected first, so that only reachable objects count."""
     gc.collect()
     process = Path("/proc/self")
     pages = int((process / "statm").read_text().split()[1])
@@ -45,8 +45,8 @@ def sample(at: float) -> Sample:
     )
 
 
-#: How much a gauge may grow after the warm-up: of its median, and in any case. Memory is given back in pieces, and a
-#: connection that is just being made counts, so a growth below these is noise.
+#: Allowed growth of a gauge after the warm-up: as a share of its median, and as a minimum. Smaller growth is noise,
+#: because memory is returned in pieces, and a connection that is just being made counts.
 SHARE = {"memory": 0.03, "descriptors": 0.02, "threads": 0.02, "objects": 0.01, "blocks": 0.01}
 LEAST = {"memory": 2.0, "descriptors": 1.0, "threads": 1.0, "objects": 500.0, "blocks": 2000.0}
 
@@ -54,7 +54,7 @@ LEAST = {"memory": 2.0, "descriptors": 1.0, "threads": 1.0, "objects": 500.0, "b
 class Trend(NamedTuple):
     gauge: str
     median: float
-    #: by the fitted slope, from the end of the warm-up to the end of the run
+    #: growth from the end of the warm-up to the end of the run, according to the fitted slope
     growth: float
     allowed: float
 
@@ -69,12 +69,12 @@ class Trend(NamedTuple):
 
 
 def slope(points: Sequence[tuple[float, float]]) -> float:
-    """The median of the slopes between all pairs of points (Theil-Sen), which single outliers do not move."""
+    """Return the median slope between all pairs of points (Theil-Sen), which ignores single outliers."""
     return statistics.median((y2 - y1) / (x2 - x1) for (x1, y1), (x2, y2) in combinations(points, 2) if x1 != x2)
 
 
 def trends(samples: Sequence[Sample], warm_up: float = 0.25) -> list[Trend]:
-    """One for each gauge; the first part of the run is left out, in which caches fill and pools grow."""
+    """Return the trend of each gauge, without the first part of the run, in which caches and pools grow."""
     kept = [each for each in samples if each.at >= samples[-1].at * warm_up]
     duration = kept[-1].at - kept[0].at
     found = []

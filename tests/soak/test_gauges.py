@@ -1,18 +1,18 @@
-"""A leak is seen in the noise, and noise is no leak."""
+"""The gauges detect a leak in noise, and do not report noise as a leak."""
 
 from __future__ import annotations
 
 import random
-import sys
 import threading
 
 import pytest
 
+from tests import platforms
 from tests.soak.gauges import Sample, sample, slope, trends
 
 
 def run(leak: float, noise: float = 1.0) -> list[Sample]:
-    """20 minutes in steps of 5 s, each gauge with this growth an hour, after a steep beginning."""
+    """Return samples of 20 minutes in steps of 5 s. Each gauge grows by `leak` per hour, after a steep start."""
     chance = random.Random(1)
     samples = []
     for at in range(0, 1200, 5):
@@ -27,21 +27,21 @@ def test_noise_outliers_and_steep_start_do_not_count_as_growth() -> None:
 
 
 @pytest.mark.parametrize("leak", [30.0, 200.0])
-def test_a_leak_is_not(leak: float) -> None:
-    """30 an hour is one each two minutes."""
+def test_leak_counts_as_growth(leak: float) -> None:
+    """A leak of 30 per hour is one object every two minutes."""
     found = trends(run(leak))
     assert not any(trend.is_flat for trend in found)
     assert found[0].growth == pytest.approx(leak / 4, rel=0.1)
 
 
-def test_slope() -> None:
+def test_slope_ignores_outlier() -> None:
     assert slope([(0.0, 1.0), (1.0, 3.0), (2.0, 500.0), (3.0, 7.0), (4.0, 9.0)]) == 2.0
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="/proc is read")
+@platforms.needs_linux
 @pytest.mark.real_time
-def test_what_is_held_is_seen() -> None:
-    # Objects that a collection frees in between are fewer than half of those that this test makes.
+def test_sample_counts_new_descriptor_thread_and_objects() -> None:
+    # A garbage collection frees fewer objects than half of those that this test makes.
     before = sample(0.0)
     end = threading.Event()
     thread = threading.Thread(target=end.wait)

@@ -1,4 +1,4 @@
-"""What runs for a long time: each is a round that is done again and again, in a process of its own."""
+"""Workloads of the long runs: each repeats one round, in its own process."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import urlink
 from rhdlink.host.plugins.turtle import Turtle
 from urlink.simulator import Controller, Demonstration
 
-#: Seconds after which something that has to come has not come, on a machine that is busy.
+#: Time limit for an expected event on a busy machine, in s.
 TIMEOUT = 120.0
 
 HOME = [0.0, -1.57, 1.57, -1.57, -1.57, 0.0]
@@ -30,13 +30,13 @@ def until(condition: Callable[[], object]) -> None:
     end = time.monotonic() + TIMEOUT
     while not condition():
         if time.monotonic() > end:
-            raise TimeoutError("it did not come about")
+            raise TimeoutError(f"the condition was not met within {TIMEOUT:g} s")
         time.sleep(0.01)
 
 
 @contextmanager
 def streams() -> Iterator[Round]:
-    """Subscriptions of every policy to streams that are read all the time."""
+    """Subscribe with every policy to streams that are read continuously, and close the subscriptions."""
     with Controller("UR5e", "5.11", motion=Demonstration()) as controller, urlink.connect(controller.address) as robot:
         policies = [urlink.latest, urlink.drop_oldest(8), urlink.block]
 
@@ -55,7 +55,7 @@ def streams() -> Iterator[Round]:
 
 @contextmanager
 def reconnects() -> Iterator[Round]:
-    """Connections that are cut, that lose their boundary, and that are made and closed."""
+    """Cut connections, let them lose their frame boundary, and open and close further ones."""
     with Controller("UR10", "3.4") as controller, urlink.connect(controller.address) as robot:
         robot.realtime.wait(TIMEOUT)
 
@@ -75,8 +75,8 @@ def reconnects() -> Iterator[Round]:
 
 @contextmanager
 def motions() -> Iterator[Round]:
-    """An arm that moves in every way, is cancelled and is stopped."""
-    # On a busy machine the simulated controller may be held up for longer than a real one may be silent.
+    """Move an arm in several ways, and cancel and stop its motions."""
+    # On a busy machine, the simulated controller can be delayed for longer than a real one may be silent.
     with (
         Controller("UR5e", "5.11") as controller,
         urlink.connect(controller.address, stale_after=20.0, silence=30.0) as robot,
@@ -100,7 +100,7 @@ def motions() -> Iterator[Round]:
 
 @contextmanager
 def recordings() -> Iterator[Round]:
-    """Recordings that are made and replayed."""
+    """Make recordings and replay them."""
     with Controller("UR3e", "5.4") as controller, tempfile.TemporaryDirectory() as folder:
 
         def record() -> None:
@@ -117,7 +117,7 @@ def recordings() -> Iterator[Round]:
 
 @contextmanager
 def robots() -> Iterator[Round]:
-    """A host with a writer that drives, readers that come and go, one that never reads and one that says nothing."""
+    """Run a host with a writer, readers that come and go, a client that never reads, and one that sends nothing."""
     with rhdlink.Host([Turtle()], period=0.01, port=0) as host:
         address = f"127.0.0.1:{host.port}"
 

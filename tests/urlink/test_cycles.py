@@ -23,6 +23,7 @@ import pytest
 import urlink
 from linkcore.errors import ConnectionLost, LinkError
 from linkcore.handle import Handle
+from tests import platforms
 from tests.spawning import spawning
 from tests.waiting import until
 from urlink.command.interpreter import Interpreter
@@ -43,7 +44,7 @@ from urlink.protocol.tool_serial import ToolSerial
 from urlink.robot import Robot
 from urlink.rtde import Inputs, Registers, Rtde
 
-pytestmark = pytest.mark.real_time
+pytestmark = [pytest.mark.real_time, platforms.needs_prompt_release]
 
 #: Longest time until a state shows a setting, in s. It is long because the computer may be busy.
 CONFIRM = 10.0
@@ -379,7 +380,7 @@ def collector_off() -> Iterator[None]:
     assert not found, f"{found} objects in cycles: {kinds.most_common(12)}"
 
 
-def test_message_of_an_older_layout_leaves_no_cycle() -> None:
+def test_message_of_an_older_layout_leaves_no_reference_cycle() -> None:
     """The error of the newer layout must not keep the caller's frames. The message is the first one of a 3.2."""
     data = bytes(VersionMessage("3.2", build_date="short"))
     with collector_off():
@@ -387,7 +388,7 @@ def test_message_of_an_older_layout_leaves_no_cycle() -> None:
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_call_leaves_no_cycle(robot: Robot, name: str) -> None:
+def test_command_call_leaves_no_reference_cycle(robot: Robot, name: str) -> None:
     call = CALLS[name]
     call(robot)  # creates objects that are made only once, such as a connection
     with collector_off():
@@ -399,7 +400,7 @@ DASHBOARD = [name for name in vars(Dashboard) if not name.startswith("_") and na
 
 
 @pytest.mark.parametrize("name", DASHBOARD)
-def test_dashboard_command_leaves_no_cycle(robot: Robot, name: str) -> None:
+def test_dashboard_command_leaves_no_reference_cycle(robot: Robot, name: str) -> None:
     """A command passes whether it is refused or not, because most commands are refused by some controller."""
     method = getattr(robot.dashboard, name)
     if name in ("power_off", "restart_safety"):
@@ -414,7 +415,7 @@ def test_dashboard_command_leaves_no_cycle(robot: Robot, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_refused_call_leaves_no_cycle(closed: Robot, name: str) -> None:
+def test_refused_call_leaves_no_reference_cycle(closed: Robot, name: str) -> None:
     call = CALLS[name]
     with contextlib.suppress(LinkError):
         call(closed)
@@ -430,7 +431,7 @@ def refused() -> None:
 
 
 @pytest.mark.slow
-def test_connection_leaves_no_cycle(address: str, tmp_path: Path) -> None:
+def test_connection_leaves_no_reference_cycle(address: str, tmp_path: Path) -> None:
     def connect() -> None:
         with urlink.connect(address) as robot:
             robot.realtime.wait()
@@ -460,7 +461,7 @@ def test_connection_leaves_no_cycle(address: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_calls_cover_every_method_that_sends() -> None:
+def test_reference_cycle_tests_cover_every_sending_method() -> None:
     own = {
         f"{held.__name__}.{name}"
         for held in SURFACE

@@ -15,13 +15,14 @@ import pytest
 
 import urlink
 from linkcore.errors import LinkError
+from tests import platforms
 from tests.spawning import spawning
 from tests.urlink.test_cycles import COUNT, HOME, NEAR, collector_off
 from tests.waiting import until
 from urlink.protocol.realtime.protocol import RealtimeProtocol
 from urlink_compat import rtde_control, rtde_io, urx
 
-pytestmark = pytest.mark.real_time
+pytestmark = [pytest.mark.real_time, platforms.needs_prompt_release]
 
 ZEROS = [0.0] * 6
 DOWN = ([0, 0, 1, 0, 0, 0], ZEROS, [0.1] * 6)
@@ -43,7 +44,7 @@ def is_home(address: str) -> bool:
     return False
 
 
-def test_realtime_protocol_leaves_no_cycle_without_packets() -> None:
+def test_realtime_protocol_alone_leaves_no_reference_cycle() -> None:
     with collector_off():
         for _ in range(COUNT):
             RealtimeProtocol()
@@ -130,7 +131,9 @@ def robot(loop: asyncio.AbstractEventLoop, address: str) -> Iterator[urlink.Asyn
 
 
 @pytest.mark.parametrize("name", AWAITED)
-def test_awaited_call_leaves_no_cycle(loop: asyncio.AbstractEventLoop, robot: urlink.AsyncRobot, name: str) -> None:
+def test_awaited_call_leaves_no_reference_cycle(
+    loop: asyncio.AbstractEventLoop, robot: urlink.AsyncRobot, name: str
+) -> None:
     async def call(count: int) -> None:
         for _ in range(count):
             with contextlib.suppress(LinkError):  # for example, from a `play` without a loaded program
@@ -141,7 +144,7 @@ def test_awaited_call_leaves_no_cycle(loop: asyncio.AbstractEventLoop, robot: ur
         loop.run_until_complete(call(COUNT))
 
 
-def test_awaited_connection_leaves_no_cycle(loop: asyncio.AbstractEventLoop, address: str) -> None:
+def test_awaited_connection_leaves_no_reference_cycle(loop: asyncio.AbstractEventLoop, address: str) -> None:
     async def connect(count: int) -> None:
         for _ in range(count):
             async with urlink.connect_async(address) as robot:
@@ -222,7 +225,7 @@ def control(address: str) -> Iterator[Control]:
 
 
 @pytest.mark.parametrize("name", CONTROL)
-def test_ur_rtde_command_leaves_no_cycle(control: Control, name: str) -> None:
+def test_ur_rtde_command_leaves_no_reference_cycle(control: Control, name: str) -> None:
     tried(lambda: CONTROL[name](control), COUNT)
 
 
@@ -239,7 +242,7 @@ OUTPUTS: dict[str, Callable[[rtde_io.RTDEIOInterface], object]] = {
 
 
 @pytest.mark.parametrize("name", OUTPUTS)
-def test_ur_rtde_output_leaves_no_cycle(address: str, name: str) -> None:
+def test_ur_rtde_output_leaves_no_reference_cycle(address: str, name: str) -> None:
     io = rtde_io.RTDEIOInterface(address)
     try:
         tried(lambda: OUTPUTS[name](io), COUNT)
@@ -276,7 +279,7 @@ def by_urx(address: str) -> Iterator[urx.Robot]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", URX)
-def test_urx_call_leaves_no_cycle(by_urx: urx.Robot, name: str) -> None:
+def test_urx_call_leaves_no_reference_cycle(by_urx: urx.Robot, name: str) -> None:
     def call() -> None:
         with contextlib.suppress(LinkError):
             URX[name](by_urx)

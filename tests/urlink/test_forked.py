@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from tests import platforms
 from urlink.simulator import Controller
 
 pytestmark = [
     pytest.mark.real_time,
     pytest.mark.slow,
-    pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork"),
+    platforms.needs_fork,
 ]
 
 #: Program that connects, opens every connection, moves the arm and forks. It prints the error that each call of the

@@ -145,7 +145,7 @@ def test_connect_keeps_undoing_after_its_timeout(controller: Controller) -> None
         until(lambda: not controller.is_running_program, TIMEOUT)
 
 
-def test_newer_program_supersedes_an_abandoned_one(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_newer_program_supersedes_an_abandoned_program(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("urlink.command.channel._UNDO_TIMEOUT", 0.0)
     with urlink.connect(controller.address) as other:
         give_up(controller, play)
@@ -175,8 +175,8 @@ def give_up_alone(controller: Controller) -> None:
 
 
 def dashboard_anew(controller: Controller) -> None:
-    with dashboard_of(controller) as dashboard:
-        assert dashboard._undos.settle(TIMEOUT)
+    with dashboard_of(controller):
+        until(lambda: not is_owed(controller), TIMEOUT)
 
 
 @pytest.mark.parametrize("connect", [dashboard_anew, anew, anew_with_asyncio])
@@ -208,13 +208,12 @@ def test_next_gripper_stops_the_move_of_a_standalone_gripper(controller: Control
     assert is_owed(controller)
     until(lambda: controller.gripper.position > 20, TIMEOUT)
     again = gripper_of(controller)
-    assert again._undos.settle(TIMEOUT)
-    assert not is_owed(controller)
+    until(lambda: not is_owed(controller), TIMEOUT)
     assert controller.gripper.position < 250
     again._disconnect()
 
 
-def test_nothing_is_owed_to_the_simulator_of_a_closed_robot() -> None:
+def test_closed_robot_keeps_no_undo_for_its_simulator() -> None:
     with urlink.connect("sim://ur5e?firmware=5.11") as robot:
         place = parse_address(robot.controller.address)
         assert isinstance(place, RobotAddress)

@@ -42,9 +42,10 @@ class Side:
         self.computer.rate = 1.0 + sim.random.uniform(-1e-4, 1e-4)
         with sim.on(self.computer):
             time.sleep(sim.random.uniform(0.0, 0.01))
-            self.controller = Controller(
-                "UR5e" if firmware[0] == "5" else "UR5", firmware, host=host, ports="standard"
-            ).start()
+            self.controller = Controller("UR5e" if firmware[0] == "5" else "UR5", firmware, host=host, ports="standard")
+            #: Time of the computer's clock when the controller's clock was 0.
+            self.began = linkcore.clock.now() - self.controller.time
+            self.controller.start()
         self.rows: list[tuple[float, float, float]] = []
         self.marks: list[tuple[float, float]] = []
 
@@ -61,11 +62,9 @@ class Side:
 
     def mark(self) -> None:
         """Store the exact time of the controller's clock, together with the simulated time."""
-        controller = self.controller
-        assert controller._server is not None
         with self.sim.on(self.computer):
-            cycles = (linkcore.clock.now() - controller._server._epoch) * self.rate + controller._server._first
-        self.marks.append((self.sim.now, (cycles - (controller._state.cycle - controller._state.uptime)) / self.rate))
+            now = linkcore.clock.now()
+        self.marks.append((self.sim.now, now - self.began))
 
     def path(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the reported times, positions and speeds since the first mark, on the clock of the simulation."""
@@ -260,7 +259,7 @@ def test_stop_stops_every_arm() -> None:
 
 
 @pytest.mark.slow
-def test_no_arm_starts_when_one_cannot() -> None:
+def test_no_arm_starts_when_one_arm_cannot_start() -> None:
     with pair(8) as both:
         controller = both.right.controller
         controller.call(controller.faults.protective_stop)
@@ -417,12 +416,12 @@ def test_replace_and_clear_take_effect_in_all_arms_at_once(firmwares: tuple[str,
 
 
 @pytest.mark.slow
-def test_replace_changes_no_arm_when_one_refuses() -> None:
+def test_replace_changes_no_arm_when_one_arm_refuses() -> None:
     with pair(22) as both, both.group.stream() as stream:
         stream.append(both.dense(), wait=False)
         time.sleep(0.8)
         far = [beside(path, 1.0 * number) for number, path in enumerate(both.dense(1.0))]
-        with pytest.raises(BadValue, match="cannot be reached from where the stream is"):
+        with pytest.raises(BadValue, match="cannot be reached from the position of the stream"):
             stream.replace(0.0, far)
         with pytest.raises(BadValue, match=r"end at 2\.4, 1 s; expected the same time for all"):
             stream.replace(0.0, [both.dense()[0], far[1]])

@@ -58,11 +58,11 @@ NOT_NEEDED_TO_READ = (
 PROGRAM = """
 import json, sys, threading
 import numpy
-told = []
-sys.addaudithook(lambda event, arguments: told.append(event))
+audited = []
+sys.addaudithook(lambda event, arguments: audited.append(event))
 before = set(sys.modules)
 {statement}
-events = sorted({{event for event in told if event.split(".")[0] in ("socket", "subprocess", "os", "_thread")}})
+events = sorted({{event for event in audited if event.split(".")[0] in ("socket", "subprocess", "os", "_thread")}})
 print(json.dumps({{
     "events": events,
     "threads": threading.active_count(),
@@ -77,8 +77,8 @@ def outcome(statement: str) -> dict[str, Any]:
     )
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
-    told: dict[str, Any] = json.loads(done.stdout)
-    return told
+    audited: dict[str, Any] = json.loads(done.stdout)
+    return audited
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +103,7 @@ def test_import_starts_no_thread_and_opens_no_socket(imported: dict[str, Any]) -
         ("import threading; threading.Thread(target=print).start()", "_thread.start_new_thread"),
     ],
 )
-def test_sockets_and_threads_are_noticed(statement: str, event: str) -> None:
+def test_import_check_detects_sockets_and_threads(statement: str, event: str) -> None:
     if event.startswith("_thread") and sys.version_info < (3, 12):
         # Before 3.12, starting a thread raises no audit event, but the thread can be counted.
         statement = "import threading; threading.Thread(target=threading.Event().wait, daemon=True).start()"

@@ -15,13 +15,14 @@ import pytest
 
 import urlink
 from linkcore.net.isolated_transport import IsolatedTransport
+from tests import platforms
 from tests.waiting import until
 from urlink import BadValue, Robot
 from urlink.simulator import Controller
 
 pytestmark = [
     pytest.mark.real_time,
-    pytest.mark.skipif(sys.platform == "win32", reason="processes share no descriptors there"),
+    platforms.needs_shared_descriptors,
 ]
 
 

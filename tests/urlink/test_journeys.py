@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import gc
 import sys
+import threading
 from collections.abc import Callable
 from types import FrameType
 
 import pytest
 
+import urlink
 from linkcore.simulated.primitives import hash_
 from tests.fakes.rehearsal import Rehearsal, turned
+from urlink.packets import RealtimeState
 from urlink.simulator import Controller
 
 #: Modules for the subscription to states after the command was sent, which stops arms that are moved while paused.
@@ -62,7 +65,7 @@ def modules_met(call: Callable[[], object]) -> set[str]:
 
 
 @pytest.mark.real_time
-def test_move_joints_runs_code_of_the_listed_modules() -> None:
+def test_move_joints_uses_only_the_listed_modules() -> None:
     with Rehearsal() as robot:
         robot.motion.move_joints(turned(0.1))  # connects and identifies, so the next command does not
         met = modules_met(lambda: robot.motion.move_joints(turned(0.2)))
@@ -86,6 +89,43 @@ def test_move_joints_runs_code_of_the_listed_modules() -> None:
     }
 
 
+@pytest.mark.real_time
+def test_packet_passes_through_the_listed_modules_in_order() -> None:
+    met: list[str] = []
+    is_over = threading.Event()
+
+    def look(frame: FrameType, event: str, argument: object) -> None:
+        name = str(frame.f_globals.get("__name__", ""))
+        if event == "call" and name.partition(".")[0] in ("urlink", "linkcore") and name not in met:
+            met.append(name)
+
+    def follow_one_packet(state: RealtimeState) -> None:
+        # The reader thread calls this function at the end of the way of each packet.
+        if "linkcore.net.transport" in met:
+            sys.setprofile(None)
+            is_over.set()
+        else:  # not the first packet of the bytes that were read at once
+            met.clear()
+            sys.setprofile(look)
+
+    with Controller("UR5e", "5.11") as controller, urlink.connect(controller.address) as robot:
+        robot.realtime.wait()  # the first packet chooses the layout
+        subscription = robot.realtime.subscribe(follow_one_packet, inline=True)
+        assert is_over.wait(10)
+        subscription.close()
+    assert met == [
+        "linkcore.net.transport",  # bytes of the socket, and when they arrived
+        "linkcore.streaming.connection",  # loop of the reader thread
+        "linkcore.streaming.receiver",  # bytes to packets
+        "linkcore.wire.framing",  # where the packet ends
+        "linkcore.wire.state_layouts",  # layout for its size, and the state object
+        "linkcore.streaming.statistics",  # counters
+        "linkcore.streaming.peer_clock",  # the controller's clock
+        "linkcore.streaming.fanout",  # all subscriptions
+        "linkcore.streaming.subscription",  # the callback
+    ]
+
+
 #: Modules that run in each cycle of the simulated controller, with or without a program.
 EVERY_CYCLE = {
     "urlink.simulator.state",
@@ -97,7 +137,7 @@ EVERY_CYCLE = {
 }
 
 
-def test_script_on_the_simulator_runs_code_of_the_listed_modules() -> None:
+def test_script_on_the_simulator_uses_only_the_listed_modules() -> None:
     """The listed modules run between the text and the arm, in addition to the compiler of the language."""
     controller = Controller("UR5e", "5.11")
     text = "def turn():\n  movej([0, -1.57, 1.57, -1.57, -1.57, {}])\nend\n"

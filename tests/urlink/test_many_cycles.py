@@ -12,7 +12,7 @@ from tests.urlink import many_cycles
 @pytest.mark.parametrize(
     "key", ["call IO.set_flag", "refused Motions.servo", "awaited io.set_digital_out", "ur_rtde stopL", "urx stop"]
 )
-def test_tried_counts_each_kind_of_call(key: str) -> None:
+def test_tried_returns_the_number_of_calls_of_each_kind(key: str) -> None:
     kind, name = key.split()
     assert many_cycles.tried(kind, name, 3, 60.0) == (3, {})
 

@@ -6,7 +6,6 @@ They are counted by the controller's own clock.
 from __future__ import annotations
 
 import asyncio
-import sys
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -18,6 +17,7 @@ import pytest
 import urlink
 from linkcore.recording.file import Kind, RecordingWriter
 from linkcore.streaming.statistics import StreamStatistics
+from tests import platforms
 from tests.waiting import until
 from urlink.packets import RobotModeData, Stamp
 from urlink.protocol.primary.protocol import PrimaryProtocol
@@ -154,7 +154,7 @@ def test_async_realtime_counts_missed_states(controller: Controller) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="processes share no descriptors there")
+@platforms.needs_shared_descriptors
 @pytest.mark.real_time
 def test_isolated_realtime_counts_missed_states(controller: Controller) -> None:
     period = 1 / urlink.Firmware.parse(controller.firmware).rate

@@ -116,7 +116,7 @@ MISTAKES: list[tuple[Try, type[Exception], str]] = [
 
 
 @pytest.mark.parametrize("name", ["movej", "moton"])
-def test_attribute_error_leaves_python_nothing_to_suggest(name: str) -> None:
+def test_attribute_error_disables_pythons_suggestions(name: str) -> None:
     with pytest.raises(AttributeError) as caught:
         getattr(StrictAttributes(), name)
     assert (caught.value.name, caught.value.obj) == (name, None)
@@ -124,7 +124,9 @@ def test_attribute_error_leaves_python_nothing_to_suggest(name: str) -> None:
 
 @pytest.mark.parametrize(("attempt", "kind", "advice"), MISTAKES, ids=[advice for _, _, advice in MISTAKES])
 @pytest.mark.real_time
-def test_mistake_raises_an_error_with_advice(robot: Any, attempt: Try, kind: type[Exception], advice: str) -> None:
+def test_common_mistake_raises_an_error_with_advice(
+    robot: Any, attempt: Try, kind: type[Exception], advice: str
+) -> None:
     with pytest.raises(kind, match=advice):
         attempt(robot)
     assert robot.motion.current is None

@@ -288,7 +288,7 @@ FACADES = ("robot", "robot.motion", "robot.io", "robot.script", "robot.safety")
 
 
 @pytest.mark.simulated_time
-def test_defaults_match_the_list() -> None:
+def test_default_arguments_equal_the_list() -> None:
     found = {}
     with urlink.connect("sim://ur5e?firmware=5.11") as robot:
         for path in FACADES:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from packages.accept.tests.identification.halves import DISJOINT, WIDTH, agreement
 from tests import real_captures
 from urlink.arm.arm_file import MOTORS, ArmFile
 from urlink.arm.dynamics import GRAVITY, Dynamics
@@ -23,6 +24,7 @@ from urlink.arm.vectors import FloatArray
 from urlink.simulator import Controller, Still
 from urlink_accept.identification.calibration import Calibration, fit_calibration
 from urlink_accept.identification.joints import fit_joints
+from urlink_accept.identification.samples import read_samples
 
 pytestmark = pytest.mark.captures("real")
 
@@ -186,3 +188,16 @@ def test_simulated_moves_take_the_logged_time(log: Log) -> None:
         spreads[begin] = float(np.ptp(times[rows] - simulated))
     assert len(spreads) == 18
     assert max(spreads.values()) < 0.002, spreads
+
+
+@pytest.mark.slow
+def test_identified_intervals_of_parts_of_the_log_overlap() -> None:
+    """The limits are those of `halves`. The widths depend on the draw of the random halves: mean 1.35 to 1.55."""
+    samples = read_samples(real_captures.folder("real") / "ur3e_rtde.csv")
+    found = [agreement(samples, "UR3e", seed) for seed in range(2)]
+    assert found[0].compared >= 36
+    assert len(found[0].ordered) <= DISJOINT * found[0].compared, found[0].ordered
+    at_random = sum(len(each.random) for each in found) / sum(each.compared_at_random for each in found)
+    assert at_random <= DISJOINT
+    widths = [width for each in found for width in each.widths.values()]
+    assert 0.5 < np.mean(widths) <= WIDTH

@@ -177,7 +177,7 @@ def test_of_refuses_types_that_are_not_packets(robot: urlink.Robot) -> None:
         robot.primary.of(RobotMode)
 
 
-def test_one_process_reads_several_robots() -> None:
+def test_one_process_can_read_several_robots() -> None:
     with urlink.connect("sim://ur3e?firmware=5.4") as one, urlink.connect("sim://ur10?firmware=3.10") as two:
         assert len(bytes(one.realtime.wait(5))) == 1116
         assert len(bytes(two.realtime.wait(5))) == 1116

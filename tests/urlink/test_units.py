@@ -91,7 +91,7 @@ CASES: dict[str, tuple[Callable[[Tried], object], str]] = {
     "Linear blend mm": (lambda t: Linear(POSE, blend=20), "blend is 20 m; expected .* 2 m " + IN_MM),
     "Circular via mm": (lambda t: Circular(MM, NEAR), IN_MM),
     "Circular degrees": (lambda t: Circular(POSE, DEGREES), IN_DEGREES),
-    "path far": (lambda t: t.robot.motion.path([Linear(FAR)]), "waypoint 0: the path to it is out of reach"),
+    "path far": (lambda t: t.robot.motion.path([Linear(FAR)]), "waypoint 0: the path to this waypoint is out of reach"),
     "schedule degrees": (lambda t: scheduled(t.robot, Q_DEGREES), r"q\[1\] \(shoulder\) is -90 rad.*" + IN_DEGREES),
     "schedule far": (lambda t: scheduled(t.robot, Linear(FAR)), "cannot bring its tool"),
     "force frame mm": (lambda t: pressed(t.robot, MM), "position in frame .*" + IN_MM),
@@ -219,7 +219,7 @@ def test_inverse_returns_nan_for_unreachable_rows() -> None:
         (90.0, "", (-3.2, 3.2), ""),
     ],
 )
-def test_other_unit_asks_for_the_likely_unit(
+def test_other_unit_returns_a_question_about_the_likely_unit(
     value: float, unit: str, limits: tuple[float, float], question: str
 ) -> None:
     assert other_unit(value, unit, *limits) == question

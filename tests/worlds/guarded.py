@@ -17,6 +17,7 @@ from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionLife
 from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.packet_queue import BoundedQueue
+from linkcore.streaming.silence import SilenceMonitor
 from linkcore.streaming.subscription import InlineDelivery
 from rhdlink.drive import _Motions
 from rhdlink.replica import Replica
@@ -36,6 +37,7 @@ ATTRIBUTES: Mapping[type, tuple[str, frozenset[str]]] = {
     _Motions: ("_lock", frozenset({"_error", "_next"})),
     CommonTime: ("_lock", frozenset({"_local", "_time", "began", "rate"})),
     CommonPace: ("_lock", frozenset({"_holds", "_local", "_rate", "_wanted"})),
+    SilenceMonitor: ("_changing", frozenset({"_watches", "wait"})),
     Rtde: ("_lock", frozenset({"_is_closed", "_open"})),
     _Holding: ("_section", frozenset({"_began", "_duration", "_speeds", "is_over"})),
 }

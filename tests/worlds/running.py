@@ -702,7 +702,7 @@ class Run:
             error: BaseException | None = None
             try:
                 if calls[ask.what](robot, ask, lasts) is False:
-                    error = RemoteError("it returned False: the arm may still move")
+                    error = RemoteError("it returned False: the arm might still move")
             except LinkError as raised:
                 error = raised
             self.watch.told(number, ask.what, error)
@@ -714,7 +714,7 @@ class Run:
     def _all_end(self, number: int) -> None:
         """Record the end of all motions of a client, because it has disconnected."""
         for owner in sorted(self.owners[number]):
-            self.end(number, owner, RemoteError("the arm may still move"))
+            self.end(number, owner, RemoteError("the arm might still move"))
 
     def _foreign(self, number: int, client: Client) -> None:
         for place, ask in enumerate(client.asks):

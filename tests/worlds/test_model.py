@@ -49,7 +49,7 @@ def test_model_finds_each_defect(defect: str) -> None:
     assert len(way) <= 10  # short enough for a person to read
 
 
-def test_handles_of_worlds_behave_like_the_model(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_handles_in_random_worlds_behave_like_the_model(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: set[tuple[str, str]] = set()
     fire = Lifecycle.fire
 

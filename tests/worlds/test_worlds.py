@@ -74,7 +74,7 @@ def test_seed_gives_the_same_world_in_every_process() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(SCENES.keys() - set(NAMES)))
-def test_scene_of_a_fixed_defect_passes(name: str) -> None:
+def test_scene_that_once_failed_passes(name: str) -> None:
     for seed in range(3):
         outcome = run(replace(SCENES[name], seed=seed))
         assert outcome.faults == [], "\n".join(outcome.log)

@@ -197,11 +197,13 @@ async def a_lost_connection(bench: Bench) -> None:
     await asyncio.sleep(3.0)
     await stream.wait(2.0)
     await asyncio.sleep(NEAR)
-    told = [event.state for event in events]
+    notified = [event.state for event in events]
     bench.check(states[-1] > bench.now - period - NEAR, "the subscription gets no more states")
     bench.check(looped[-1] > bench.now - period - NEAR, "the loop gets no more states")
-    bench.check(ConnectionState.LOST in told and told[-1] is ConnectionState.CONNECTED, f"the events were {told}")
-    count = told.count(ConnectionState.CONNECTED)
+    bench.check(
+        ConnectionState.LOST in notified and notified[-1] is ConnectionState.CONNECTED, f"the events were {notified}"
+    )
+    count = notified.count(ConnectionState.CONNECTED)
     bench.check(stream.stats.reconnects == count, f"{count} connections, but {stream.stats.reconnects} counted")
     lost = next((event for event in events if event.state is ConnectionState.LOST), None)
     bench.check(lost is not None and isinstance(lost.error, RemoteError), f"it was lost because of {lost}")
@@ -393,8 +395,8 @@ async def commands(bench: Bench) -> None:
     await asyncio.sleep(0.1)
     bench.check(texts == ["a", "b"], f"{texts}")
     bench.check(await robot.safety.wait_for_stop(0.1) is None, "a stop")
-    told: list[Any] = []
-    subscribed = robot.safety.on_stop(told.append)
+    notified: list[Any] = []
+    subscribed = robot.safety.on_stop(notified.append)
     if inspect.isawaitable(subscribed):
         await subscribed
     task = asyncio.ensure_future(ended(bench, robot.safety.wait_for_stop(5.0)))
@@ -405,7 +407,7 @@ async def commands(bench: Bench) -> None:
     bench.check(done and task.result()[0] is not None, "wait_for_stop does not report the stop")
     bench.check(done and task.result()[1] - at < 0.3, "wait_for_stop reports the stop late")
     await asyncio.sleep(0.2)
-    bench.check(len(told) == 1, f"on_stop was called {len(told)} times")
+    bench.check(len(notified) == 1, f"on_stop was called {len(notified)} times")
     controller.faults.clear()
     await robot.safety.wait_until_clear(5.0)
     if not controller.firmware.is_cb2:

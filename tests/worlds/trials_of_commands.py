@@ -178,9 +178,9 @@ def policies(bench: Bench) -> None:
 def stops(bench: Bench) -> None:
     """A stop is reported once to each callback and to waiting calls, and ends motions; its end is reported, too."""
     robot, faults = bench.robot, bench.controller.faults
-    told: list[LinkError] = []
+    notified: list[LinkError] = []
     others: list[LinkError] = []
-    end = robot.safety.on_stop(told.append)
+    end = robot.safety.on_stop(notified.append)
     robot.safety.on_stop(others.append)
     bench.check(robot.safety.wait_for_stop(0.1) is None, "a stop is reported without a stop")
     bench.check(robot.safety.cause is None and robot.safety.refusal is None, f"{robot.safety.cause}")
@@ -206,7 +206,9 @@ def stops(bench: Bench) -> None:
         motion.wait(5.0)
     bench.check(bench.now - begun < 0.5, "the motion did not end")
     time.sleep(0.2)
-    bench.check(len(told) == 1 and len(others) == 1, f"{kind}: on_stop was called {len(told)} and {len(others)} times")
+    bench.check(
+        len(notified) == 1 and len(others) == 1, f"{kind}: on_stop was called {len(notified)} and {len(others)} times"
+    )
     bench.check(robot.safety.cause is not None, "no cause")
     bench.check(kind.split("_")[0] in str(robot.safety.cause).lower(), f"{kind}: the cause is {robot.safety.cause}")
     bench.check(robot.motion.current is None, "a stopped motion is the current one")
@@ -227,7 +229,7 @@ def stops(bench: Bench) -> None:
     time.sleep(0.3)
     faults.protective_stop()
     time.sleep(0.4)
-    bench.check(len(told) == 1, "a removed callback was called")
+    bench.check(len(notified) == 1, "a removed callback was called")
     bench.check(len(others) == 2, f"on_stop was called {len(others)} times at the second stop")
     faults.clear()
     robot.safety.wait_until_clear(5.0)

@@ -149,9 +149,11 @@ def syncing_in_vain(bench: Bench) -> None:
             time.sleep(0.1)
         robot.sync()
         bench.check(robot.connection is rhdlink.ConnectionState.CONNECTED, f"{robot.connection}")
-        told = events
-        bench.check(told[-1:] == [rhdlink.ConnectionState.CONNECTED], f"the events were {told}")
-        bench.check(robot.reconnects == told.count(rhdlink.ConnectionState.CONNECTED), f"{robot.reconnects} {told}")
+        reported = events
+        bench.check(reported[-1:] == [rhdlink.ConnectionState.CONNECTED], f"the events were {reported}")
+        bench.check(
+            robot.reconnects == reported.count(rhdlink.ConnectionState.CONNECTED), f"{robot.reconnects} {reported}"
+        )
         if unsent == "send":
             bench.check(plugin.speedr == 12, f"the kept value was not sent: {plugin.speedr}")
         robot.speedl = 7

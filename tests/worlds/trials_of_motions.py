@@ -482,8 +482,8 @@ def teaching(bench: Bench) -> None:
     signals = bench.controller.signals
     signals.digital_inputs &= ~0b1111
     number = chance.randrange(4)
-    told: list[Any] = []
-    with robot.teach(digital_input=number, on_point=told.append) as taught:
+    reported: list[Any] = []
+    with robot.teach(digital_input=number, on_point=reported.append) as taught:
         time.sleep(0.2)
         for _ in range(2):
             signals.digital_inputs |= 1 << number
@@ -492,14 +492,14 @@ def teaching(bench: Bench) -> None:
             time.sleep(0.3)
         if hasattr(taught, "record"):
             taught.record()
-        points = list(getattr(taught, "taught", taught)) if hasattr(taught, "__iter__") else told
-    bench.check(len(told) in (2, 3), f"on_point was called {len(told)} times for two edges")
+        points = list(getattr(taught, "taught", taught)) if hasattr(taught, "__iter__") else reported
+    bench.check(len(reported) in (2, 3), f"on_point was called {len(reported)} times for two edges")
     q = robot.realtime.wait(2.0).q_actual
     bench.check(all(np.allclose(point.q, q, atol=0.02) for point in points), "a point is elsewhere")
-    count = len(told)
+    count = len(reported)
     signals.digital_inputs |= 1 << number
     time.sleep(0.3)
-    bench.check(len(told) == count, "a point is recorded after the block")
+    bench.check(len(reported) == count, "a point is recorded after the block")
     made = Taught([TaughtPoint(q + far, np.array([0.1, 0.2, far, 0.0, 3.0, 0.0])) for far in (0.05, 0.0)])
     with tempfile.TemporaryDirectory() as folder:
         made.save(Path(folder) / "points.json")

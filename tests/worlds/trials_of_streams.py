@@ -203,14 +203,14 @@ def a_lost_connection(bench: Bench) -> None:
         stream.wait(2.0)
         time.sleep(NEAR)
         after = stream.stats
-        told = [event.state for event in events]
+        notified = [event.state for event in events]
         bench.check(states[-1] > bench.now - period - NEAR, "the subscription gets no more states")
         bench.check(stream.connection is ConnectionState.CONNECTED, f"it is {stream.connection}")
-        bench.check(told[-1:] == [ConnectionState.CONNECTED], f"the events were {told}")
-        bench.check(ConnectionState.LOST in told, f"the events were {told}")
-        bench.check(all(a is not b for a, b in itertools.pairwise(told)), f"a state was reported twice: {told}")
+        bench.check(notified[-1:] == [ConnectionState.CONNECTED], f"the events were {notified}")
+        bench.check(ConnectionState.LOST in notified, f"the events were {notified}")
+        bench.check(all(a is not b for a, b in itertools.pairwise(notified)), f"a state was reported twice: {notified}")
         bench.check(all(event.stream == stream.name for event in events), f"an event names another stream: {events}")
-        count = told.count(ConnectionState.CONNECTED)
+        count = notified.count(ConnectionState.CONNECTED)
         bench.check(after.reconnects - before.reconnects == count, f"{count} connections, counted {after.reconnects}")
         bench.check(events[0].received.monotonic is not None and bench.now > at, "an event has no time")
         lost = next(event for event in events if event.state is ConnectionState.LOST)
@@ -312,16 +312,16 @@ def the_truth(bench: Bench) -> None:
 def ports(bench: Bench) -> None:
     """Each interface has its own connection: cutting one does not affect the others."""
     names = ("realtime", "primary", "secondary")
-    told: dict[str, list[Any]] = {name: [] for name in names}
+    notified: dict[str, list[Any]] = {name: [] for name in names}
     for name in names:
         stream = getattr(bench.robot, name)
         stream.wait(2.0)
-        stream.subscribe(told[name].append, ConnectionEvent)
+        stream.subscribe(notified[name].append, ConnectionEvent)
         bench.check(name in stream.name, f"{stream.name} is the stream {name}")
     cut = bench.chance.choice(names)
     bench.controller.faults.cut(cut)
     time.sleep(0.3)
-    lost = [name for name in names if told[name]]
+    lost = [name for name in names if notified[name]]
     bench.check(lost == [cut], f"{cut} was cut, but events came from {lost}")
 
 

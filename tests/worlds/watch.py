@@ -217,5 +217,5 @@ class Watch:
 
 
 def _most(values: tuple[float, ...], before: tuple[float, ...]) -> float:
-    """Return the largest change of one of six values. In most cycles, no value has changed."""
+    """Return the largest change among the six values. In most cycles, no value has changed."""
     return 0.0 if values == before else max(abs(a - b) for a, b in zip(values, before, strict=True))

@@ -187,7 +187,7 @@ class Ask:
 
 @dataclass(frozen=True)
 class Client:
-    """Program on its own computer, whose threads make one request after the other.
+    """Client program with its own computer. Each of its threads makes one request after another.
 
     Attributes:
         asks: Requests of all threads.

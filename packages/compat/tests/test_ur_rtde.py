@@ -107,7 +107,7 @@ def test_io_sets_outputs_and_registers(controller: Controller, caplog: pytest.Lo
             assert io.setConfigurableDigitalOut(0, True)
             with caplog.at_level(logging.WARNING):
                 assert not io.setInputIntRegister(24, 1)
-            assert "another client or a fieldbus uses input_int_register_24" in caplog.text
+            assert "another client or a fieldbus holds input_int_register_24" in caplog.text
         until(lambda: controller.speed_fraction == 0.5 and bool(controller.signals.digital_outputs >> 8 & 1))
         assert io.setStandardDigitalOut(3, False)
         other.set_speed_slider(1.0)
@@ -165,7 +165,7 @@ def test_servo_and_speed_calls_move_arm(controller: Controller, control: RTDECon
 
 
 @pytest.mark.slow
-def test_contact_force_mode_and_freedrive(controller: Controller, control: RTDEControlInterface) -> None:
+def test_contact_force_mode_and_freedrive_calls_work(controller: Controller, control: RTDEControlInterface) -> None:
     assert control.moveJ(HOME, 2.0, 6.0)
     x, y, z = controller.arm.sample.pose_target[:3]
     controller.world.add(Plane((x, y, z - 0.005)))
@@ -212,7 +212,7 @@ def test_arrays_are_accepted_like_lists(controller: Controller, control: RTDECon
     assert (tmp_path / "q.csv").read_text(encoding="utf-8").startswith("actual_q_0,")
 
 
-def test_kinematics_tool_and_queries(controller: Controller, control: RTDEControlInterface) -> None:
+def test_kinematics_tool_and_status_calls_return_values(controller: Controller, control: RTDEControlInterface) -> None:
     tool = [0.0, 0.01, 0.15, 0.1, 0.0, 0.2]
     assert control.setTcp(tool)
     assert near(control.getTCPOffset(), tool, 1e-9)
@@ -232,7 +232,7 @@ def test_kinematics_tool_and_queries(controller: Controller, control: RTDEContro
 
 
 @pytest.mark.slow
-def test_calls_work_after_stop_and_reconnect(
+def test_ur_rtde_calls_work_after_a_stop_and_a_reconnection(
     controller: Controller, control: RTDEControlInterface, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert control.isProgramRunning()

@@ -88,7 +88,7 @@ def test_moves_along_tool_axes(controller: Controller) -> None:
 
 
 @pytest.mark.slow
-def test_consecutive_movep_without_waiting(controller: Controller) -> None:
+def test_consecutive_movep_calls_replace_the_running_motion(controller: Controller) -> None:
     """Like urx's example of a square: each motion replaces the previous one before its end."""
     with urx.Robot(controller.address) as robot:
         robot.movej(NEAR, acc=6.0, vel=2.0)
@@ -102,7 +102,7 @@ def test_consecutive_movep_without_waiting(controller: Controller) -> None:
         assert near(robot.movep(pose, acc=2.0, vel=0.2, radius=0, wait=True), begin)
 
 
-def test_tool_coordinates_are_attributes(controller: Controller) -> None:
+def test_tool_coordinates_can_be_read_and_changed_as_attributes(controller: Controller) -> None:
     with urx.Robot(controller.address, use_rt=True, urFirm=3.4) as robot:
         robot.movej(NEAR, acc=6.0, vel=2.0)
         begin = robot.getl(wait=True)
@@ -113,7 +113,7 @@ def test_tool_coordinates_are_attributes(controller: Controller) -> None:
         assert near(robot.getl(wait=True), [begin[0] - 0.03, begin[1] + 0.01, begin[2] + 0.02, *begin[3:]])
 
 
-def test_joint_and_supply_measurements(controller: Controller) -> None:
+def test_joint_and_supply_measurements_equal_the_state(controller: Controller) -> None:
     with urx.Robot(controller.address) as robot:
         state = robot._robot.realtime.wait()
         assert near(robot.get_joint_temperature(), state.motor_temperatures, 1.0)
@@ -151,7 +151,7 @@ def test_poses_are_math3d_transforms(controller: Controller, monkeypatch: pytest
             robot.set_pose(pose, command="movej")
 
 
-def test_get_pose_names_missing_math3d(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_error_of_get_pose_says_that_math3d_is_missing(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "math3d", None)
     with urx.Robot(controller.address) as robot, pytest.raises(LocalError, match="math3d is not installed"):
         robot.get_pose()

@@ -122,7 +122,7 @@ def _works(arm: UR, action: dict[str, float]) -> bool:
     return True
 
 
-def test_chunks_start_at_observation_and_replace_each_other(make: Callable[..., UR]) -> None:
+def test_chunk_starts_at_observation_and_replaces_previous_chunk(make: Callable[..., UR]) -> None:
     arm = make(max_step=0.02, watchdog=WATCHDOG, gripper=True)
     arm.connect()
     with pytest.raises(urlink.LocalError, match="get_observation"):
@@ -145,7 +145,7 @@ def test_chunks_start_at_observation_and_replace_each_other(make: Callable[..., 
     arm.send_action(named(JOINTS, goal) | {"gripper.pos": 1.0})  # single actions are possible again
 
 
-def test_stop_ends_chunks(make: Callable[..., UR], controller: Controller) -> None:
+def test_send_chunk_raises_after_protective_stop(make: Callable[..., UR], controller: Controller) -> None:
     arm = make(watchdog=WATCHDOG)
     arm.connect()
 

@@ -93,7 +93,7 @@ def test_bad_actions_are_rejected(arm: UR, action: dict[str, object]) -> None:
         arm.send_action(action)
 
 
-def test_stop_is_raised_and_later_action_works(arm: UR, controller: Controller) -> None:
+def test_send_action_raises_during_a_stop_and_works_afterwards(arm: UR, controller: Controller) -> None:
     arm.connect()
     here = dict(zip(NAMES, positions(arm).tolist(), strict=True))
     arm.send_action(here)

@@ -27,7 +27,7 @@ def parsed(*argv: str) -> argparse.Namespace:
         ("[fe80::1%eth0]:1884", "fe80::1%eth0", 1884),
     ],
 )
-def test_broker_address_with_and_without_port(text: str, host: str, port: int | None) -> None:
+def test_broker_address_is_parsed_with_and_without_port(text: str, host: str, port: int | None) -> None:
     assert parsed("--broker", text).broker == (host, port)
 
 
@@ -48,7 +48,7 @@ def test_serve_rejects_two_different_ports() -> None:
         pass
 
 
-def test_serve_uses_port_of_either_option(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_serve_accepts_port_in_broker_or_port_option(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[tuple[str, int | None]] = []
     monkeypatch.setattr(cli, "Broker", lambda host, port, *rest: made.append((host, port)))
     for argv in (["--broker", "a:1884"], ["--broker", "a", "--port", "1884"], ["--broker", "a:1884", "--port", "1884"]):

@@ -123,7 +123,7 @@ def test_command_with_retain_flag_is_not_executed(server: Server, panels: Panels
         ("move_joints", {"arguments": {"q": [0.0]}}, "BadValue", "q"),
         ("move_joints", {"arguments": {"q": HOME, "wait": True}}, "BadValue", "wait"),
         ("move_joints", {"arguments": {"q": HOME, "goal": 1}}, "BadValue", "goal"),
-        ("dance", {}, "BadValue", "no command 'dance'"),
+        ("dance", {}, "BadValue", "unknown command 'dance'"),
         ("enable", {"age": 0}, "BadValue", "age"),
         ("enable", {"age": 3600.0}, "BadValue", "at most 60"),
         ("enable", {"time": None}, "BadValue", "time"),
@@ -170,7 +170,7 @@ def test_motion_of_absent_client_is_refused(server: Server, panels: Panels) -> N
 
 @needs_broker
 @pytest.mark.parametrize("name", ["stop", "cancel"])
-def test_any_client_stops_arm_without_age(
+def test_invalid_stop_command_of_any_client_stops_the_arm(
     server: Server, panels: Panels, urlink_robot: urlink.Robot, name: str
 ) -> None:
     panel = panels()
@@ -341,7 +341,7 @@ def test_command_expires_by_server_clock() -> None:
             clock.check(dataclasses.replace(asked, time=time))
 
 
-def test_command_line_options() -> None:
+def test_command_line_options_have_defaults() -> None:
     parser = argparse.ArgumentParser()
     cli.add_arguments(parser)
     assert not parser.parse_args([]).allow_commands

@@ -101,7 +101,7 @@ def test_free_arm_yields_to_falling_ball(push: Path, program: str, firmware: str
     assert after("def go():\n  sleep(10)\nend\n") == 0.0
 
 
-def test_two_arms_feel_each_other_through_box(push: Path) -> None:
+def test_two_arms_exert_forces_on_each_other_through_a_box(push: Path) -> None:
     left, right = arm_at((-0.45, 0.13, 0.05)), arm_at((-0.45, -0.18, 0.05))
     world = MujocoWorld(push, {"left": left, "right": right})
     settled(world)

@@ -56,7 +56,7 @@ def test_tcp_is_flange_without_gripper(table: Path) -> None:
     assert not any("finger" in world.model.body(i).name for i in range(world.model.nbody))
 
 
-def test_cb3_arm_with_cycle_of_8_ms(table: Path) -> None:
+def test_world_advances_by_8_ms_per_cycle_of_a_cb3(table: Path) -> None:
     controller = Controller("UR3", "3.15", noise=False)
     world = MujocoWorld(table, controller)
     controller.step(10)
@@ -121,7 +121,7 @@ def test_images_are_equal_from_several_threads(drawing: MujocoWorld) -> None:
     assert all((each == pictures[0]).all() for each in pictures)
 
 
-def test_renderer_is_freed_when_other_thread_collects(table: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_renderer_is_freed_when_collected_in_another_thread(table: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     failed: list[object] = []
     monkeypatch.setattr(sys, "unraisablehook", failed.append)
     before = set(threading.enumerate())
@@ -148,13 +148,13 @@ def test_invalid_arguments_raise_clear_errors(table: Path, tmp_path: Path) -> No
     with pytest.raises(urlink.BadValue, match="identifier such as 'left'"):
         MujocoWorld(table, {"an arm": controller})
     world = MujocoWorld(table, controller)
-    with pytest.raises(urlink.BadValue, match=r"no body is named 'cup'; expected one of .*box"):
+    with pytest.raises(urlink.BadValue, match=r"unknown body 'cup'; expected one of .*box"):
         world.pose("cup")
     with pytest.raises(urlink.BadValue, match="has no free joint"):
         world.place("arm/wrist_1_link", (0.0,) * 6)
     with pytest.raises(urlink.BadValue, match="six finite numbers"):
         world.place("box", (0.0,) * 5)
-    with pytest.raises(urlink.BadValue, match="no camera is named 'back'; the file has front"):
+    with pytest.raises(urlink.BadValue, match="unknown camera 'back'; expected one of front"):
         world.picture("back")
     with pytest.raises(urlink.BadValue, match="a state of this world"):
         world.reset(np.zeros(3))

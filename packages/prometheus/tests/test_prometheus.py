@@ -88,7 +88,7 @@ def test_values_of_lost_robot_are_absent(port: int, urlink_controller: Controlle
 
 
 @pytest.mark.urlink(model="UR5", firmware="1.7")
-def test_old_controller_lacks_values_that_it_does_not_send(port: int) -> None:
+def test_values_that_an_old_controller_does_not_send_are_absent(port: int) -> None:
     found = scrape(port)
     assert of(found, "urlink_motor_temperature_celsius", joint="base") > 0.0
     assert not [name for name, _ in found if name in ("urlink_safety_mode", "urlink_main_voltage_volts")]

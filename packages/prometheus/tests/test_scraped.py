@@ -105,7 +105,7 @@ def test_prometheus_stores_every_metric_with_type_and_value(
     assert rate[1] > 0.0
 
 
-def test_alarms_of_page_fire(prometheus: Scraper, urlink_controller: Controller) -> None:
+def test_documented_alarms_fire(prometheus: Scraper, urlink_controller: Controller) -> None:
     stands, loses = re.findall(r"`([^`]+ (?:== 0|> 1))`", re.sub(r"\s+", " ", PAGE.read_text(encoding="utf-8")))
     assert not prometheus.found(stands)
     urlink_controller.faults.protective_stop()
@@ -118,7 +118,7 @@ def test_alarms_of_page_fire(prometheus: Scraper, urlink_controller: Controller)
     until(lambda: prometheus.found(loses), 120.0)
 
 
-def test_lost_robot_has_no_old_values(prometheus: Scraper, urlink_controller: Controller) -> None:
+def test_old_values_of_a_lost_robot_are_absent(prometheus: Scraper, urlink_controller: Controller) -> None:
     assert prometheus.found("urlink_joint_position_radians")
     urlink_controller.close()
     until(lambda: prometheus.found("urlink_connected == 0"))

@@ -29,7 +29,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 
-def say(**what: Any) -> None:
+def report(**what: Any) -> None:
     print(json.dumps(what), flush=True)
 
 
@@ -56,11 +56,11 @@ def listen(node: Any, duration: str, namespace: str = "") -> None:
         last["joints"] = [list(message.name), list(message.position), list(message.effort)]
 
     def other(name: str, value: Any) -> Any:
-        def hear(message: Any) -> None:
+        def receive(message: Any) -> None:
             counts[name] = counts.get(name, 0) + 1
             last[name] = value(message)
 
-        return hear
+        return receive
 
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     node.create_subscription(JointState, f"{namespace}joint_states", joints, 10)
@@ -85,7 +85,7 @@ def listen(node: Any, duration: str, namespace: str = "") -> None:
         rclpy.spin_once(node, timeout_sec=0.1)
     late.sort()
     span = max(stamps) - min(stamps) if len(stamps) > 1 else 0.0
-    say(
+    report(
         count=len(stamps),
         first=min(stamps, default=None),
         newest=max(stamps, default=None),
@@ -123,7 +123,7 @@ def several(node: Any, client: Any, wanted: dict[str, Any]) -> None:
         results.append(future.result().get_result_async())
     for future in results:
         rclpy.spin_until_future_complete(node, future, timeout_sec=60.0)
-    say(results=[[each.result().status, each.result().result.error_code] for each in results])
+    report(results=[[each.result().status, each.result().result.error_code] for each in results])
 
 
 def give_up(node: Any, goal: str, patience: str) -> None:
@@ -136,23 +136,23 @@ def give_up(node: Any, goal: str, patience: str) -> None:
     assert client.wait_for_server(30.0)
     power = node.create_client(Trigger, "dashboard_client/brake_release")
     assert power.wait_for_service(30.0)
-    say(ready=True)
+    report(ready=True)
     sys.stdin.readline()
     sent = client.send_goal_async(goal_of(node, json.loads(goal)))
     called = power.call_async(Trigger.Request())
     rclpy.spin_until_future_complete(node, sent, timeout_sec=float(patience))
-    say(answered=sent.done())
+    report(answered=sent.done())
     sys.stdin.readline()
     rclpy.spin_until_future_complete(node, sent, timeout_sec=30.0)
     rclpy.spin_until_future_complete(node, called, timeout_sec=30.0)
-    say(accepted=sent.result().accepted, called=called.result().success, text=called.result().message)
+    report(accepted=sent.result().accepted, called=called.result().success, text=called.result().message)
 
 
 def watch(node: Any, duration: str) -> None:
     """Be a client of the action that sends nothing, like MoveIt."""
     client = ActionClient(node, FollowJointTrajectory, "scaled_joint_trajectory_controller/follow_joint_trajectory")
     assert client.wait_for_server(30.0)
-    say(ready=True)
+    report(ready=True)
     end = time.monotonic() + float(duration)
     while time.monotonic() < end:
         rclpy.spin_once(node, timeout_sec=0.1)
@@ -174,20 +174,20 @@ def follow(node: Any, goal: str, when: str = "", namespace: str = "") -> None:
     rclpy.spin_until_future_complete(node, sent, timeout_sec=10.0)
     handle = sent.result()
     if not handle.accepted:
-        say(accepted=False)
+        report(accepted=False)
         return
     result = handle.get_result_async()
     if when:
         while not told:
             rclpy.spin_once(node, timeout_sec=0.1)
-        say(moving=True)
+        report(moving=True)
     if when == "die":
         time.sleep(60.0)
     if when == "cancel":
         rclpy.spin_until_future_complete(node, handle.cancel_goal_async(), timeout_sec=10.0)
     rclpy.spin_until_future_complete(node, result, timeout_sec=30.0)
     found = result.result()
-    say(
+    report(
         accepted=True,
         status=found.status,
         code=found.result.error_code,
@@ -208,7 +208,7 @@ def call(node: Any, service: str, on: str = "") -> None:
     request = kind.Request(data=on == "on") if on else kind.Request()
     future = client.call_async(request)
     rclpy.spin_until_future_complete(node, future, timeout_sec=30.0)
-    say(success=future.result().success, message=future.result().message)
+    report(success=future.result().success, message=future.result().message)
 
 
 def send(node: Any, topic: str, value: str, duration: str) -> None:
@@ -226,7 +226,7 @@ def send(node: Any, topic: str, value: str, duration: str) -> None:
         sent += 1
         time.sleep(0.02)
     publisher.wait_for_all_acked(Duration(seconds=5.0))
-    say(sent=sent)
+    report(sent=sent)
 
 
 def describe(node: Any) -> None:
@@ -237,7 +237,7 @@ def describe(node: Any) -> None:
     found = time.monotonic() + 20.0
     while not said and time.monotonic() < found:
         rclpy.spin_once(node, timeout_sec=0.1)
-    say(joints=said[0].count("<joint "), robot="<robot " in said[0])
+    report(joints=said[0].count("<joint "), robot="<robot " in said[0])
 
 
 if __name__ == "__main__":

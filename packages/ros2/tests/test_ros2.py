@@ -108,7 +108,7 @@ def test_trajectory_with_reordered_joints_sends_feedback(robot: urlink.Robot, dr
     assert robot.realtime.wait().q_actual == pytest.approx(FAR, abs=0.01)
 
 
-def test_client_cancels_trajectory_and_its_end_cancels_too(robot: urlink.Robot, drive: Drive) -> None:
+def test_cancelled_goal_and_ended_client_stop_the_arm(robot: urlink.Robot, drive: Drive) -> None:
     with serve({"arm": robot}):
         done = drive("follow", goal((0.0, START), (8.0, FAR)), "cancel")
         assert done["status"] == 5
@@ -126,7 +126,7 @@ def test_client_cancels_trajectory_and_its_end_cancels_too(robot: urlink.Robot, 
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
-def test_lost_client_cancels_goal_while_other_client_exists(
+def test_goal_is_cancelled_when_its_client_but_no_other_dies(
     robot: urlink.Robot, drive: Drive, end: signal.Signals
 ) -> None:
     with serve({"arm": robot}):
@@ -154,7 +154,7 @@ def test_newest_of_several_goals_is_followed(robot: urlink.Robot, drive: Drive) 
     assert robot.realtime.wait().q_actual == pytest.approx(targets[-1], abs=0.01)
 
 
-def test_goal_starts_at_its_stamp(robot: urlink.Robot, drive: Drive) -> None:
+def test_goal_starts_at_the_time_in_its_stamp(robot: urlink.Robot, drive: Drive) -> None:
     moved: list[float] = []
 
     def note(state: urlink.packets.RealtimeState) -> None:
@@ -276,7 +276,9 @@ def test_invalid_and_failed_goals_report_error_codes(
         assert drive("follow", goal((0.0, START), (1.0, FAR))) == {"accepted": False}
 
 
-def test_services_command_robot(robot: urlink.Robot, drive: Drive, urlink_controller: Controller) -> None:
+def test_services_set_outputs_and_send_dashboard_commands(
+    robot: urlink.Robot, drive: Drive, urlink_controller: Controller
+) -> None:
     with serve({"arm": robot}):
         assert drive("call", "io_and_status_controller/set_digital_out_4", "on")["success"]
         assert robot.io.digital_out(4)
@@ -294,7 +296,7 @@ def test_services_command_robot(robot: urlink.Robot, drive: Drive, urlink_contro
 
 
 @pytest.mark.urlink(connect={})
-def test_robots_in_namespaces_survive_lost_robot(
+def test_other_robot_keeps_running_when_one_robot_is_lost(
     robot: urlink.Robot, urlink_controller: Controller, drive: Drive
 ) -> None:
     with urlink.connect("sim://ur10e?firmware=5.11") as other, serve({"left": robot, "right": other}, rate=50.0):
@@ -373,7 +375,7 @@ def test_read_goal_converts_points_and_tolerances() -> None:
             read_goal(message(bad), JOINT_NAMES, here)
 
 
-def test_read_goal_continues_late_trajectory() -> None:
+def test_read_goal_omits_points_that_have_passed() -> None:
     q, far = {"positions": START}, {"positions": FAR}
     here = np.array(START)
     stamped = message([(0.0, q), (2.0, q), (3.0, far)], stamp=100.0)
@@ -476,7 +478,7 @@ def test_script_message_is_run(robot: urlink.Robot, drive: Drive) -> None:
         until(lambda: robot.io.digital_out(5))
 
 
-def test_description_and_zeroed_force_sensor(robot: urlink.Robot, drive: Drive) -> None:
+def test_description_is_published_and_force_sensor_is_zeroed(robot: urlink.Robot, drive: Drive) -> None:
     with serve({"arm": robot}):
         said = drive("describe")
         zeroed = drive("call", "io_and_status_controller/zero_ftsensor")

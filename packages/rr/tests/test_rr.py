@@ -186,7 +186,7 @@ def test_trajectory_reports_progress_until_complete(arm: Any, node: Any, robot: 
     assert robot.realtime.wait().q_actual == pytest.approx(far, abs=0.01)
 
 
-def test_trajectory_ends_when_cancelled_off_path_or_invalid(
+def test_trajectory_ends_when_cancelled_invalid_or_off_its_path(
     arm: Any, node: Any, robot: urlink.Robot, urlink_controller: Controller
 ) -> None:
     far = [1.0, *START[1:]]
@@ -248,14 +248,14 @@ def test_velocity_commands_by_wire_move_arm(arm: Any, node: Any, robot: urlink.R
     assert robot.realtime.wait().q_actual[0] > before + 0.1
 
 
-def test_homing_signals_speed_and_payload(arm: Any, node: Any, robot: urlink.Robot) -> None:
+def test_client_homes_arm_and_sets_signals_speed_and_payload(arm: Any, node: Any, robot: urlink.Robot) -> None:
     arm.command_mode = modes(node, arm)["homing"]
     rest_of(arm.home())
     assert robot.realtime.wait().q_actual == pytest.approx(HOME, abs=1e-3)
     arm.setf_signal("digital_out_2", np.array([1.0]))
     assert arm.getf_signal("digital_out_2").tolist() == [1.0]
     assert robot.io.digital_out(2)
-    with pytest.raises(RR.InvalidArgumentException, match="no signal"):
+    with pytest.raises(RR.InvalidArgumentException, match="unknown signal"):
         arm.getf_signal("steam_whistle")
     arm.speed_ratio = 0.5
     until(lambda: arm.speed_ratio == pytest.approx(0.5, abs=0.01))
@@ -278,7 +278,9 @@ def test_homing_signals_speed_and_payload(arm: Any, node: Any, robot: urlink.Rob
     until(lambda: changed == [(0, "arm")])
 
 
-def test_enable_disable_and_reset(arm: Any, node: Any, robot: urlink.Robot, urlink_controller: Controller) -> None:
+def test_client_enables_disables_and_resets_the_arm(
+    arm: Any, node: Any, robot: urlink.Robot, urlink_controller: Controller
+) -> None:
     states = node.GetConstants(ROBOT, arm)["RobotControllerState"]
     urlink_controller.faults.protective_stop()
     until(lambda: arm.controller_state == states["guard_stop"])
@@ -468,7 +470,7 @@ def test_read_only_robot_accepts_no_commands(urlink_controller: Controller, node
             arm.setf_signal("digital_out_0", np.array([1.0]))
 
 
-def test_rhd_variables_are_wires(node: Any) -> None:
+def test_rhd_variables_are_served_as_wires(node: Any) -> None:
     with (
         rhdlink.Host([Turtle()], port=0) as host,
         rhdlink.connect(f"127.0.0.1:{host.port}", access="w") as robot,

@@ -55,7 +55,7 @@ def opened(browser: Any, view: View) -> None:
     until(lambda: said(browser, "connection") == "live", SOON)
 
 
-def test_page_moves_and_reconnects(browser: Any) -> None:
+def test_page_shows_motion_and_reconnects(browser: Any) -> None:
     with urlink.connect("sim://ur5e?firmware=5.11&motion=demo") as robot:
         with robot.view() as view:
             opened(browser, view)

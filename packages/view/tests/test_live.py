@@ -15,6 +15,7 @@ import pytest
 import urlink
 import urlink.cli
 from linkcore.recording.mcap_file import McapFile
+from tests import platforms
 from tests.waiting import until
 
 CAPTURE = Path(__file__).resolve().parents[3] / "captures" / "simulator-5.11.urlog"
@@ -117,7 +118,7 @@ with urlink.connect("sim://") as robot, robot.record(sys.argv[1]):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
+@platforms.needs_signals
 @pytest.mark.real_time
 def test_killed_program_leaves_readable_file(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"

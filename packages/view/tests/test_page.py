@@ -42,7 +42,7 @@ def page() -> Iterator[Page]:
         (None, None, False, "requested as None"),
     ],
 )
-def test_refusal_depends_on_host_and_origin(
+def test_request_is_refused_for_wrong_host_or_origin(
     host: str | None, origin: str | None, is_upgrade: bool, says: str | None
 ) -> None:
     why = refusal(host, origin, is_upgrade, LOOPBACK)
@@ -105,7 +105,7 @@ def test_port_in_use_raises_connect_failed(page: Page) -> None:
 
 
 @pytest.mark.real_time
-def test_other_websocket_servers_are_unchanged(page: Page) -> None:
+def test_import_does_not_patch_websockets_server(page: Page) -> None:
     import websockets.asyncio.server as server
 
     assert server.serve.__module__ == "websockets.asyncio.server"

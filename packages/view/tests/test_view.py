@@ -131,7 +131,7 @@ def q_of(window: Window) -> Any:
     return window.numbers("q")
 
 
-def test_recorded_window_shows_moment(tmp_path: Path) -> None:
+def test_recorded_window_shows_values_at_the_chosen_time(tmp_path: Path) -> None:
     window = RecordedWindow(urlink.load(run(tmp_path / "run.urlog", 3000)).realtime)
     assert window.end == pytest.approx(29.99)
     window.at(20.004)
@@ -204,7 +204,7 @@ def test_robot_view_shows_arm() -> None:
 
 @pytest.mark.real_time
 @pytest.mark.parametrize(("apart", "shown"), [(0.0, False), (0.02, True)])
-def test_target_arm_is_drawn_when_apart(apart: float, shown: bool) -> None:
+def test_target_arm_is_drawn_when_it_differs_from_the_arm(apart: float, shown: bool) -> None:
     pytest.importorskip("viser", reason=WHY)
     state = RealtimeState("5.11", time=1.0, q_actual=Q, q_target=Q + apart * np.eye(6)[3])
     window = LiveWindow(cast("Any", SimpleNamespace(start=lambda: None, latest=state, connection=None)))

@@ -94,7 +94,7 @@ def robots(endpoint: str, rest: Sequence[str], speed: float) -> None:
 
 
 def report() -> None:
-    """Print that everything is running; when stdin ends, print the processor time since then."""
+    """Print a line when everything is running; when stdin ends, print the processor time since then."""
     print("up", flush=True)
     began, cpu = time.monotonic(), time.process_time()
     sys.stdin.read()

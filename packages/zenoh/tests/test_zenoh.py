@@ -39,7 +39,7 @@ FAR = [1.5, -1.5, 1.5, -1.5, -1.5, 0.0]
 
 @pytest.mark.property
 @given(st.integers(0, 2**64 - 1), st.integers(0, 2**40), st.integers(0, 2**40))
-def test_attachment_round_trip(sequence: int, monotonic: int, wall: int) -> None:
+def test_attachment_keeps_number_and_stamp(sequence: int, monotonic: int, wall: int) -> None:
     stamp = urlink.packets.Stamp(monotonic / 1024, wall / 1024)
     number, read = stamped(attachment(sequence, stamp))
     assert number == sequence
@@ -162,10 +162,10 @@ def test_client_moves_robot_and_sets_outputs(
         ("move_joints", {"q": ["a"] * 6}, "q"),
         ("move_joints", {}, "missing a required argument"),
         ("follow", {"time": [0, 1], "q": [HOME, FAR], "feedback": "x"}, "unexpected argument 'feedback'"),
-        ("close", {}, "no command 'close'"),
+        ("close", {}, "unknown command 'close'"),
     ],
 )
-def test_bad_arguments_raise_errors_of_robot(
+def test_bad_arguments_raise_same_errors_as_local_robot(
     server: Server,
     session: zenoh.Session,
     urlink_robot: urlink.Robot,
@@ -406,7 +406,9 @@ def test_expiry_rejects_missing_or_invalid_parameters(parameters: dict[str, str 
         expiry.check({**good, **parameters})
 
 
-def test_cancel_accepts_id_of_one_command(server: Server, session: zenoh.Session, urlink_robot: urlink.Robot) -> None:
+def test_cancel_with_an_id_cancels_only_that_command(
+    server: Server, session: zenoh.Session, urlink_robot: urlink.Robot
+) -> None:
     with RemoteRobot(session, "arm") as remote:
         remote.call("move_joints", q=FAR, speed=0.1)
         remote.call("cancel", command="another")

@@ -1,4 +1,4 @@
-"""`AsyncFeed` and `AsyncStream`: the packets of one interface, for programs that use asyncio."""
+"""Classes `AsyncFeed` and `AsyncStream`: the packets of one interface, for programs that use asyncio."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from .packets import Packets
 T = TypeVar("T")
 K = TypeVar("K")
 
-#: Time in s that the window of a live plot gets for its events, while the loop waits.
+#: Time in s for which the window of a live plot processes its events while the loop waits.
 _EVENTS = 1e-3
 
 
 class AsyncFeed(StrictAttributes, Generic[T]):
     """The packets of one class on a stream: iterate, wait, read the newest, or subscribe.
 
-    `AsyncStream.of` returns a feed. A stream is itself the feed of its main class. It is for tasks of the loop that
-    reads the stream.
+    `AsyncStream.of` returns a feed. A stream is itself the feed of its main class. Only tasks of the loop that reads
+    the stream may use the feed.
 
     Args:
-        feed: Same feed for threads. It makes the errors, and prevents the garbage collection of the stream.
+        feed: The same feed for threads. It makes the error messages, and prevents the garbage collection of the stream.
     """
 
     __slots__ = ("_feed", "_kind", "_loop_connection")
@@ -111,15 +111,15 @@ class AsyncFeed(StrictAttributes, Generic[T]):
         allows; a `ConnectionEvent` reports the disconnection.
 
         Args:
-            policy: `latest`, `drop_oldest(n)` or `block`. With `block` no packet is dropped: while the task is behind,
+            policy: `latest`, `drop_oldest(n)` or `block`. With `block`, no packet is dropped: while the task is late,
                 the loop does not read from this robot.
             timeout: Maximum wait for each packet, in seconds.
-            lifespan: Maximum age of a packet in seconds after its arrival; None for no limit. A packet that is older
-                when its turn comes is dropped and counted as `expired`.
+            lifespan: Maximum age of a packet in seconds after its arrival; None for no limit. If a packet is older than
+                this when it would be delivered, it is dropped and counted as `expired`.
 
         Returns:
-            The iterator. Its `stats` count the offered, delivered and dropped packets. `AsyncStream.stats` counts the
-            packets that slow loops drop, as `dropped`.
+            The iterator. Its attribute `stats` counts the offered, delivered and dropped packets. `AsyncStream.stats`
+            counts packets that were dropped because a loop was slow, as `dropped`.
 
         Raises:
             BadValue: If `policy` is not a policy, or a time is not a number of seconds.
@@ -145,7 +145,7 @@ class AsyncFeed(StrictAttributes, Generic[T]):
         deadline: float | None = None,
         on_deadline: Callable[[float], object] | None = None,
     ) -> Subscription:
-        """Call `callback` with each packet, in order, in the thread of the loop, until closed.
+        """Call `callback` with each packet, in order, in the thread of the loop, until the subscription is closed.
 
         The callback must be quick and must not wait, because the loop does nothing else until it returns. Calls of more
         than 0.5 ms are counted in `AsyncStream.stats`. An exception in the callback is logged and counted, and the
@@ -215,12 +215,12 @@ class AsyncFeed(StrictAttributes, Generic[T]):
 class AsyncStream(AsyncFeed[T]):
     """The packets of one interface of a robot, for programs that use asyncio.
 
-    Example: ``async for state in robot.realtime``. The event loop reads it, without a thread. It connects when it is
-    first used. It reconnects automatically when the connection is lost, and keeps its iterators and subscriptions
-    meanwhile.
+    Example: ``async for state in robot.realtime``. The event loop reads the stream, without a thread. The stream
+    connects when it is first used. When the connection is lost, the stream reconnects automatically; its iterators and
+    subscriptions continue.
 
     Attributes:
-        stream: Same stream for other threads, over the connection that the loop reads.
+        stream: The same stream for other threads. It uses the connection that the loop reads.
     """
 
     __slots__ = ("stream",)
@@ -287,7 +287,7 @@ class AsyncStream(AsyncFeed[T]):
     async def join(self, timeout: float | None = None) -> bool:
         """Wait until the stream is closed, or has stopped reconnecting.
 
-        Return False after `timeout` seconds. It returns at once if the stream has not connected yet.
+        Return False after `timeout` seconds. If the stream has not connected yet, the call returns at once.
 
         Args:
             timeout: Maximum wait in seconds; None for no limit.

@@ -1,13 +1,13 @@
-"""A connection to one peer that an event loop opens, reads, and opens again when it is lost.
+"""Connection to one peer. An event loop opens and reads it, and opens it again when it is lost.
 
     transport -> receiver -> fan-out -> queues -> tasks
     [------------------ event loop ------------------]
 
-No thread waits. The loop makes a call when the socket has bytes, their packets are published at once, and a timer
-measures silence.
+No thread waits. When bytes arrive at the socket, the loop calls a function, which publishes the packets immediately. A
+timer measures silence.
 
-Other threads may use the connection too, to send and to wait, as the code that commands a robot does. For them the
-thread of the loop is the reader. A call that would wait in this thread is refused, because it would wait for itself.
+Other threads, such as the threads that command a robot, may also send and wait. For them, the thread of the loop is the
+reader. A call that would wait in the thread of the loop is refused, because the thread would wait for itself.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from typing import Any
 from .. import clock
 from ..errors import Closed, ConnectionLost, LinkTimeout, LocalError, unraised
 from ..event_loop import happened, within
-from ..net.awaited import AwaitedTransport, watch
+from ..net.awaited import AwaitedTransport
+from ..net.watching import forget, watch
 from ..streaming.connection import Connection
 from ..streaming.receiver import Receiver
 from ..streaming.scheduling import urgent
@@ -35,7 +36,7 @@ _EARLY = 1e-4
 
 
 class LoopConnection(Connection):
-    """A connection that an event loop reads.
+    """Connection that an event loop reads.
 
     Args:
         name: See `Connection`.
@@ -72,7 +73,7 @@ class LoopConnection(Connection):
 
     @property
     def is_running(self) -> bool:
-        """Whether the loop reads it, or is about to read it."""
+        """Whether the loop reads the connection, or will begin to read it."""
         return not self._has_ended.is_set()
 
     def reads_here(self) -> bool:
@@ -97,7 +98,7 @@ class LoopConnection(Connection):
     def start(self, add: Callable[[], object] | None = None) -> None:
         """Connect as `Connection.start` does.
 
-        In the thread of the loop, it must already be connected.
+        In the thread of the loop, the connection must already exist.
         """
         if not self._is_settled:
             self.refuse_to_wait("connecting")
@@ -108,7 +109,7 @@ class LoopConnection(Connection):
 
         Raises:
             RemoteError: If the connection cannot be made; the next use tries again.
-            Closed: If it was closed.
+            Closed: If the connection was closed.
         """
         if self._life.is_closed:
             raise Closed(f"{self.name} was closed")
@@ -165,7 +166,7 @@ class LoopConnection(Connection):
         return clock.wait(self._has_ended.wait, timeout)
 
     def _hang_up(self) -> None:
-        """Do nothing, because `_stop` has woken the task, which disconnects."""
+        """Do nothing: `_stop` has woken the task, and the task disconnects."""
 
     def _settle(self) -> None:
         super()._settle()
@@ -204,7 +205,7 @@ class LoopConnection(Connection):
         if self.reads_here():
             self._abort_here()
             return
-        # The loop must forget the descriptor before its number can be given to another socket.
+        # The loop must stop watching the descriptor before the system can give its number to another socket.
         done = ReentrantEvent()
 
         def abort() -> None:
@@ -213,7 +214,8 @@ class LoopConnection(Connection):
 
         with contextlib.suppress(LocalError):
             self.call(abort)
-            clock.wait(done.wait, _HANDOVER)
+            if clock.wait(done.wait, _HANDOVER):
+                return  # the loop might have connected again meanwhile; this thread must not abort that connection
         self._transport.abort()
 
     def _abort_here(self) -> None:
@@ -269,7 +271,8 @@ class LoopConnection(Connection):
         self.silence.end(clock.now())
         try:
             self._watch()
-            # Take the bytes that arrived while it was connecting. For later bytes, the loop makes a call.
+            # Take the bytes that arrived during the connection attempt. When later bytes arrive, the loop calls
+            # `_take_waiting`.
             while self._take_waiting():
                 pass
             self._set_timer()
@@ -285,11 +288,11 @@ class LoopConnection(Connection):
         await self._transport.disconnect()
 
     def _watch(self) -> None:
-        """Let the loop make a call when bytes arrive.
+        """Let the loop watch the descriptor of the connection, and call `_take_waiting` when bytes arrive.
 
         Raises:
-            ConnectionLost: If it was closed meanwhile.
-            LocalError: If the loop cannot wait for sockets.
+            ConnectionLost: If the connection was closed in the meantime.
+            LocalError: If the loop needs a thread to wait for sockets, and the system refuses another thread.
         """
         descriptor = self._transport.fileno()
         if descriptor < 0:
@@ -300,11 +303,11 @@ class LoopConnection(Connection):
     def _watch_no_more(self) -> None:
         descriptor, self._descriptor = self._descriptor, -1
         if descriptor >= 0:
-            self._loop.remove_reader(descriptor)
+            forget(self._loop, descriptor)
         self._call_in(None)
 
     def _end(self, error: Exception | None) -> None:
-        """End this connection with an error; None if it is closed on purpose."""
+        """End this connection with an error, or with None if it was closed on purpose."""
         if self._over is not None and not self._over.done():
             self._watch_no_more()
             self._over.set_result(error)
@@ -315,7 +318,7 @@ class LoopConnection(Connection):
             self._set_timer()
 
     def _take_waiting(self) -> bool:
-        """Publish the packets of bytes that have arrived; return False if there are none."""
+        """Publish the packets in the bytes that have arrived; return False if no bytes have arrived."""
         if self._receiver is None or self._descriptor < 0 or self._is_taking:
             return False
         self._is_taking = True

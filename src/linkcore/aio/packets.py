@@ -1,4 +1,4 @@
-"""Packets for a task: a bounded queue that an event loop fills, and an asynchronous iterator over it."""
+"""Packets for a task: a bounded queue that an event loop fills, and an asynchronous iterator over this queue."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class LoopQueue(BoundedQueue):
 
     Args:
         policy: Behaviour when the task falls behind. If the policy makes the reader wait, the loop stops reading from
-            this peer when the queue is full, until it is half empty. Bytes that were read at the same moment, at most
-            64 KiB, are still accepted, so the queue can exceed the limit by about 60 packets.
+            this peer when the queue is full, and continues when the queue is half empty. Bytes that were read at the
+            same moment, at most 64 KiB, are still accepted, so the queue can exceed the limit by about 60 packets.
         connection: Connection that is not read while the queue is full.
-        lifespan: Seconds after its arrival for which a packet can be taken; None for no limit.
+        lifespan: Maximum age of a packet in seconds after its arrival; None for no limit.
     """
 
     def __init__(self, policy: Policy, connection: LoopConnection, lifespan: float | None = None) -> None:
@@ -62,7 +62,7 @@ class LoopQueue(BoundedQueue):
         """Wait for a packet, and return it; return None after `timeout`, or when `is_over` is true.
 
         Raises:
-            LocalError: If another task already waits for a packet.
+            LocalError: If another task is already waiting for a packet.
         """
         timer: asyncio.TimerHandle | None = None
         is_late = False
@@ -74,7 +74,9 @@ class LoopQueue(BoundedQueue):
             self._wake_consumer()
 
         if self._waiter is not None:
-            raise LocalError("another task waits for packets of this iterator; use a separate iterator for each task")
+            raise LocalError(
+                "another task is already waiting for a packet of this iterator; use a separate iterator for each task"
+            )
         loop = asyncio.get_running_loop()
         try:
             while (packet := self.take()) is None:
@@ -99,16 +101,16 @@ class LoopQueue(BoundedQueue):
 class Packets(StrictAttributes, Generic[T]):
     """Iterator over the packets of one class, returned by `AsyncFeed.iterate`, for a single ``async for``.
 
-    It begins with the first step, and ends with the loop, or with `aclose`. If a task is cancelled while it waits, no
-    packet is lost: the next step returns it.
+    The iterator begins to queue packets at its first step. It ends when the stream ends, or with `aclose`. If a task is
+    cancelled while it waits, no packet is lost: the next step returns the packet.
 
     Args:
         connection: Connection of the packets.
-        feed: Feed for threads. It has the class of the packets, and makes the errors.
+        feed: Feed for threads. It contains the class of the packets, and makes the error messages.
         policy: Behaviour when the task falls behind.
         timeout: Maximum wait for each packet in seconds; None for no limit.
         lifespan: Maximum age of a packet in seconds after its arrival; None for no limit.
-        is_loop: Whether `Stream.stats` counts the packets that are dropped because the task falls behind.
+        is_loop: Whether `Stream.stats` counts packets that are dropped because the task falls behind.
     """
 
     def __init__(
@@ -160,7 +162,7 @@ class Packets(StrictAttributes, Generic[T]):
 
         Raises:
             RemoteError, Closed: If the first connection cannot be made.
-            LocalError: If another task already waits for a packet.
+            LocalError: If another task is already waiting for a packet.
         """
         if self._parts:
             return self._parts.popleft()
@@ -175,7 +177,7 @@ class Packets(StrictAttributes, Generic[T]):
         return self._parts.popleft()
 
     async def open(self) -> None:
-        """Connect if it has not connected yet, and start to queue packets.
+        """Connect if the stream has not connected yet, and begin to queue packets.
 
         Raises:
             RemoteError, Closed: If the first connection cannot be made.
@@ -194,7 +196,7 @@ class Packets(StrictAttributes, Generic[T]):
             self._queue.end()
 
     async def aclose(self) -> None:
-        """Accept no more packets; queued packets are dropped and counted. Idempotent."""
+        """Stop accepting packets. Queued packets are dropped and counted. Idempotent."""
         self._connection.fan_out.remove(self._queue)
         self._queue.close()
         self._connection.counters.loop_ended(self._queue)
@@ -206,7 +208,7 @@ class Packets(StrictAttributes, Generic[T]):
         await self.aclose()
 
     def __del__(self) -> None:
-        # The iterator was left before its end, so the next packets cannot be taken any more.
+        # The program has left the iteration before its end, so nothing can take the next packets.
         if getattr(self, "_is_open", False):
             connection, queue = self._connection, self._queue
             connection.fan_out.remove(queue)

@@ -1,7 +1,7 @@
 """The command `completion`, which prints a shell script for completing commands, options and names.
 
-The script is made from the parsers of all commands. A shell that has read it does not start a program to complete a
-word.
+The script is made from the parsers of all commands. A shell that has read the script can complete a word without
+starting a program.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def _script(parser: argparse.ArgumentParser) -> str:
 
 
 def _joined(words: Iterable[str]) -> str:
-    """Join the words that a shell needs no quoting for.
+    """Join the words that do not need quotes in a shell.
 
     Other words, such as words with blanks, are left out.
     """

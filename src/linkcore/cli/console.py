@@ -37,11 +37,12 @@ def read_stdin(timeout: float) -> bytes | None:
             return clock.get(_chunks(), timeout)
         except Empty:
             return None
-    try:
-        is_ready = bool(select.select([sys.stdin], [], [], timeout)[0])
-    except (OSError, ValueError) as error:
-        raise LocalError(f"cannot wait for stdin: {error}") from None
-    return os.read(sys.stdin.fileno(), 1024) if is_ready else None
+    else:
+        try:
+            is_ready = bool(select.select([sys.stdin], [], [], timeout)[0])
+        except (OSError, ValueError) as error:
+            raise LocalError(f"cannot wait for stdin: {error}") from None
+        return os.read(sys.stdin.fileno(), 1024) if is_ready else None
 
 
 def lines(is_wanted: Callable[[], bool], pause: float = 0.05) -> Iterator[str | None]:
@@ -80,19 +81,19 @@ def keys() -> Iterator[Reader]:
         raise LocalError("stdin is not a terminal; keys can only be read from a terminal")
     if sys.platform == "win32":
         yield _pressed
-        return
-    try:
-        import termios
-        import tty
-    except ImportError:
-        raise LocalError("this system cannot read single keys from a terminal (no termios)") from None
-    terminal = sys.stdin.fileno()
-    before = termios.tcgetattr(terminal)
-    tty.setcbreak(terminal)
-    try:
-        yield read_stdin
-    finally:
-        termios.tcsetattr(terminal, termios.TCSADRAIN, before)
+    else:
+        try:
+            import termios
+            import tty
+        except ImportError:
+            raise LocalError("this system cannot read single keys from a terminal (no termios)") from None
+        terminal = sys.stdin.fileno()
+        before = termios.tcgetattr(terminal)
+        tty.setcbreak(terminal)
+        try:
+            yield read_stdin
+        finally:
+            termios.tcsetattr(terminal, termios.TCSADRAIN, before)
 
 
 if sys.platform == "win32":
@@ -115,10 +116,13 @@ if sys.platform == "win32":
     def _chunks() -> SimpleQueue[bytes]:
         """Start a thread that reads stdin, and return the queue of the bytes; b"" marks the end of stdin."""
         chunks: SimpleQueue[bytes] = SimpleQueue()
-        number = sys.stdin.fileno()
+        try:
+            number = sys.stdin.fileno()
+        except (OSError, ValueError) as error:
+            raise LocalError(f"cannot wait for stdin: {error}") from None
 
         def read() -> None:
-            # Not `sys.stdin.buffer`: its lock would be held by this thread when the interpreter exits.
+            # Do not use `sys.stdin.buffer`, because this thread would hold its lock when the interpreter exits.
             while chunk := _read(number):
                 chunks.put(chunk)
             chunks.put(b"")

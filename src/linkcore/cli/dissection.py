@@ -1,6 +1,7 @@
 """Output of the command `dissect` of every package: the bytes of a file or of stdin, piece by piece.
 
-A piece is a packet, or bytes that belong to no packet. Each package cuts the bytes, and describes their meaning.
+A piece is a packet, or bytes that belong to no packet. Each Python package cuts the bytes of its protocols into pieces,
+and describes their meaning.
 """
 
 from __future__ import annotations
@@ -22,10 +23,10 @@ SHOWN = (
 
 
 class Shown(NamedTuple):
-    """A piece as it is printed.
+    """Piece in the forms in which it can be printed.
 
     Attributes:
-        is_read: Whether any part of it was decoded.
+        is_read: Whether any part of the piece was decoded.
         json: The piece as values for JSON.
         text: The piece as lines of text.
     """
@@ -36,7 +37,7 @@ class Shown(NamedTuple):
 
 
 def print_pieces(pieces: Iterable[Shown], args: argparse.Namespace, of: str = "") -> int:
-    """Print pieces, as many as `args` says, and return the exit status: 1 if nothing was decoded.
+    """Print at most as many pieces as `args` requests, and return the exit status: 1 if nothing was decoded.
 
     Args:
         pieces: The pieces of the file that `args` names.

@@ -13,7 +13,7 @@ from ..recording.file import MAGIC
 _TEXT = re.compile(rb"[\t\n\f\r\x20-\x7e]*")
 _SEPARATOR = re.compile(rb"0[xX]|\\x|[\s:,;-]")
 _HEX = re.compile(rb"[0-9a-fA-F]*")
-#: Offset at the beginning of a line of a dump. It is not part of the data.
+#: Offset at the beginning of a line in a hex dump. The offset is not part of the data.
 _OFFSET = re.compile(rb"^\s*(0x)?[0-9a-fA-F]{4,}:", re.MULTILINE)
 
 
@@ -24,7 +24,7 @@ def input_bytes(name: str) -> bytes:
     ``0x`` or ``\\x``.
 
     Raises:
-        BadRecording: If it cannot be read, is a recording on stdin, or has an odd number of hex digits.
+        BadRecording: If the input cannot be read, is a recording on stdin, or has an odd number of hex digits.
     """
     try:
         data = sys.stdin.buffer.read() if name == "-" else Path(name).read_bytes()

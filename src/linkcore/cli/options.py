@@ -1,4 +1,4 @@
-"""Declaration of commands, with their name, help, arguments and function, and arguments of many commands."""
+"""Declaration of commands (name, help, arguments and function), and arguments that many commands have."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 from ..recording.file import Progress
 from .progress import ProgressBar
 
-#: Function that declares arguments at a parser, or at a group of a parser.
+#: Function that adds arguments to a parser, or to a group of a parser.
 Row = Callable[[Any], None]
-#: Name of the attribute of an argparse action with its possible words.
+#: Attribute of an argparse action that contains the words for completion.
 _WORDS = "completed_words"
 
 
@@ -58,7 +58,7 @@ def completed_words(action: argparse.Action) -> Iterable[str]:
 
 
 class Subcommand(NamedTuple):
-    """A command of a program.
+    """Command of a program.
 
     Attributes:
         name: Name on the command line.
@@ -66,7 +66,7 @@ class Subcommand(NamedTuple):
         rows: Arguments, in the order of the help.
         run: Function that gets the parsed arguments, and returns the exit status. Its docstring is the help of the
             command.
-        listing: Function that returns lines after the description; it is called when the command is declared.
+        listing: Function that returns lines to print after the description. It is called when the command is declared.
     """
 
     name: str
@@ -108,7 +108,7 @@ def common_options(parser: argparse.ArgumentParser) -> None:
 def command(
     name: str, summary: str, *rows: Row, listing: Callable[[], str] | None = None
 ) -> Callable[[Callable[[argparse.Namespace], int]], Subcommand]:
-    """Return a decorator that makes a command from a function.
+    """Return a decorator that converts a function to a command.
 
     The docstring of the function ends with lines of examples below ``examples:``. `program` finds the command in its
     module. See `Subcommand` for the arguments.
@@ -144,7 +144,7 @@ def positive_int(text: str) -> int:
 
 
 def replay_rate(text: str) -> float:
-    """Convert text to a speed relative to the recording; ``max`` becomes 0, which is as fast as possible."""
+    """Convert text to a replay speed relative to the recording; ``max`` becomes 0, which means as fast as possible."""
     if text == "max":
         return 0.0
     try:
@@ -153,9 +153,9 @@ def replay_rate(text: str) -> float:
         raise argparse.ArgumentTypeError(f"{text!r} is invalid; expected a positive number or max") from None
 
 
-#: Duration of a command.
+#: Option for the duration of a command.
 DURATION = argument("--duration", type=seconds, metavar="S", help="end after S seconds (default: never)")
-#: Recording that a command reads.
+#: Argument for the recording that a command reads.
 RECORDING = argument("file", metavar="FILE", help="recording to read")
 
 
@@ -179,11 +179,11 @@ def connected(connect: Callable[[str], _C], args: argparse.Namespace, address: s
 
 
 class Exportable(Protocol):
-    """A recording that can be exported."""
+    """Recording that can be exported."""
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Texts about data that could not be read."""
+        """Descriptions of the data that could not be read."""
 
     def export(
         self,
@@ -193,7 +193,7 @@ class Exportable(Protocol):
         *,
         progress: Progress | None = None,
     ) -> Path:
-        """Write it to a file. The suffix determines the format."""
+        """Write the recording to a file. The suffix of the file determines the format."""
 
 
 _T = TypeVar("_T", bound=Exportable)

@@ -1,4 +1,4 @@
-"""A program with several commands, with its parsing, logging, errors and exit status."""
+"""Program with several commands: parsing of the command line, logging, error messages and exit status."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ..text import printable, similar
 from .options import Subcommand, common_options
 from .terminal import Interrupted, raise_on_sigterm
 
-#: An option of every command.
+#: Pattern of the options that every command has.
 _COMMON = re.compile("-[qv]+|--quiet|--verbose")
 
 
@@ -142,7 +142,7 @@ def program(
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:
-        # The reader of the pipe has closed it, as `head` does. The rest of the buffer would fail again at the exit.
+        # The reader has closed the pipe, as `head` does. Writing the rest of the buffer would fail again at the exit.
         with contextlib.suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
@@ -154,7 +154,7 @@ def program(
 class _Version(argparse.Action):
     """Action that prints the version.
 
-    It finds the version only then, because this imports many modules.
+    The version is looked up only when the option is used, because the look-up imports many modules.
     """
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:

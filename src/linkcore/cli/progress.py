@@ -17,18 +17,19 @@ _WIDTH = 30
 _COLUMNS = 80
 #: Seconds between two drawings on a terminal, and seconds without other output before the first drawing.
 _PERIOD, _CALM = 0.2, 0.5
-#: Seconds until the first plain line. Each pause is twice as long as the previous one, up to the longest.
+#: Seconds until the first plain line; and maximum pause between two lines, in s. Each pause is twice as long as the
+#: previous one, up to this maximum.
 _FIRST, _LONGEST = 2.0, 60.0
-#: Minimum fraction and minimum seconds for an estimate of the remaining time.
+#: Completed fraction, and elapsed time in s, from which the remaining time is estimated.
 _KNOWN, _SETTLED = 0.05, 5.0
 
 
 class ProgressBar:
-    """Progress of work on stderr. It is a context manager; call it with the completed fraction.
+    """Progress of work on stderr. Use it as a context manager, and call it with the completed fraction.
 
     On a terminal, one line below the output is redrawn five times a second. It disappears when something is printed,
-    and returns when nothing was printed for half a second. Elsewhere a plain line is printed after 2 s and then after
-    pauses that double up to a minute. Shorter work shows nothing.
+    and appears again when nothing was printed for half a second. Elsewhere, a plain line is printed after 2 s and then
+    after pauses that double up to a minute. If the work takes less time, nothing is shown.
 
     If two blocks are nested, the bar that was called last is shown.
 
@@ -58,7 +59,8 @@ class ProgressBar:
         if screen is not None and not self._quiet:
             screen.bar = self
             if text is not None:
-                # The program continues, so a question on the same line was answered.
+                # The program has continued. So if it asked a question on this line, the user has answered, and the
+                # cursor is at the beginning of a line again.
                 screen.is_at_start = True
 
     def next(self, text: str) -> None:
@@ -201,7 +203,7 @@ class _Screen:
 
 
 class _Above:
-    """A stream of the terminal whose text appears above the bar."""
+    """Stream of the terminal. Its text appears above the bar."""
 
     def __init__(self, stream: Any, screen: _Screen) -> None:
         self._stream = stream

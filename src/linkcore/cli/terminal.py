@@ -1,10 +1,11 @@
-"""Use of the terminal by a command: lines on stderr, signals that end the command, and a view that is redrawn."""
+"""Terminal functions for commands: lines on stderr, signals that end the command, and a view that is redrawn."""
 
 from __future__ import annotations
 
 import contextlib
 import math
 import os
+import shlex
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -21,6 +22,15 @@ if TYPE_CHECKING:
 def tell(program: str, text: str) -> None:
     """Print one line on stderr, which begins with the name of the program."""
     print(f"{program}: {printable(text)}", file=sys.stderr)
+
+
+def quoted(argument: str) -> str:
+    """Return `argument` as a user types it in a shell: quoted if it has characters that the shell interprets.
+
+    The command prompt of Windows knows double quotes only.
+    """
+    text = shlex.quote(argument)
+    return f'"{argument}"' if sys.platform == "win32" and text != argument else text
 
 
 class Interrupted(KeyboardInterrupt):
@@ -97,7 +107,7 @@ class Interruption:
     def wait(self, seconds: float) -> bool:
         """Sleep for at most `seconds`, or until `is_over` is true; return `is_over`."""
         until = min(clock.now() + seconds, self._until)
-        # A signal that is only recorded does not end a sleep, so this sleeps in short steps.
+        # Sleep in short steps, because a signal that is only recorded does not end a sleep.
         while self.number is None and (left := until - clock.now()) > 0:
             clock.sleep(min(left, 0.05))
         return self.is_over
@@ -117,7 +127,7 @@ _T = TypeVar("_T")
 def drawing(
     plain: bool, tell: Callable[[str], None], line: Callable[[_T], str], panel: Callable[[_T], RenderableType]
 ) -> Iterator[tuple[Callable[[_T], None], float]]:
-    """Provide a function that shows a value, and the seconds between two values.
+    """Yield a function that shows a value, and the interval in s at which to call the function.
 
     On a terminal, rich draws the panel of a value over the previous one, ten times a second. Elsewhere, and with
     `plain`, one line per second is printed.

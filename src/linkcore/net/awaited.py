@@ -1,4 +1,4 @@
-"""TCP connections for programs that use asyncio: opened and closed without blocking the event loop."""
+"""TCP connections for programs that use asyncio. Opening and closing them does not block the event loop."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ import contextlib
 import errno
 import os
 import socket
-from collections.abc import Callable
 from functools import partial
 from typing import Any, Protocol
 
 from .. import clock
 from ..clock import Stamp
-from ..errors import ConnectFailed, LinkTimeout, LocalError, unraised
+from ..errors import ConnectFailed, LinkTimeout, unraised
 from ..event_loop import happened, within
 from .transport import TcpTransport, Transport
+from .watching import forget, watch
 
 #: Results of a non-blocking `connect` that is still in progress; 10035 is WSAEWOULDBLOCK of Windows.
 _IN_PROGRESS = (errno.EINPROGRESS, errno.EWOULDBLOCK, 10035)
 
 
 class AwaitedTransport(Transport, Protocol):
-    """A source of bytes that an event loop can wait for."""
+    """Transport for whose bytes an event loop can wait."""
 
     async def connect(self, timeout: float) -> None:
         """Connect like `open`, without blocking the event loop."""
@@ -34,14 +34,14 @@ class AwaitedTransport(Transport, Protocol):
         """
 
     def receive_waiting(self) -> tuple[bytes, Stamp] | None:
-        """Return the bytes that have already arrived, or None; never waits; raises `ConnectionLost`."""
+        """Return the bytes that have already arrived, or None. Never waits. Raises `ConnectionLost`."""
 
     async def disconnect(self) -> None:
         """Disconnect like `close`, without blocking the event loop."""
 
 
 class AwaitedTcp(TcpTransport):
-    """A TCP connection that an event loop waits for."""
+    """TCP connection for whose bytes an event loop can wait."""
 
     async def connect(self, timeout: float) -> None:
         """Connect within `timeout` seconds. If the call is cancelled, everything is closed.
@@ -49,7 +49,7 @@ class AwaitedTcp(TcpTransport):
         Raises:
             ConnectFailed: If the connection is refused, or the host is unreachable or unknown.
             LinkTimeout: If the host does not answer in time.
-            LocalError: If the loop cannot wait for sockets.
+            LocalError: If the loop needs a thread to wait for sockets, and the system refuses another thread.
         """
         self.abort()
         try:
@@ -66,7 +66,7 @@ class AwaitedTcp(TcpTransport):
         Raises:
             LinkTimeout: If nothing arrives in time.
             ConnectionLost: If the peer closes or resets the connection, or this program closes it.
-            LocalError: If the loop cannot wait for sockets.
+            LocalError: If the loop needs a thread to wait for sockets, and the system refuses another thread.
         """
         until = clock.now() + timeout
         while (received := self.receive_waiting()) is None:
@@ -75,7 +75,7 @@ class AwaitedTcp(TcpTransport):
         return received
 
     async def disconnect(self) -> None:
-        """Disconnect when the peer's kernel has acknowledged all sent data.
+        """Disconnect when the operating system of the peer has acknowledged all sent data.
 
         See `TcpTransport.close`.
         """
@@ -86,32 +86,15 @@ class AwaitedTcp(TcpTransport):
             self.abort()
 
 
-def watch(
-    loop: asyncio.AbstractEventLoop, descriptor: int, callback: Callable[[], object], *, for_room: bool = False
-) -> None:
-    """Let the loop call `callback` when bytes have arrived, or with `for_room`, when there is room to send.
-
-    Raises:
-        LocalError: If the loop cannot wait for sockets.
-    """
-    try:
-        (loop.add_writer if for_room else loop.add_reader)(descriptor, callback)
-    except NotImplementedError:
-        raise LocalError(
-            f"{type(loop).__name__} cannot wait for sockets; on Windows, run the program with "
-            "asyncio.SelectorEventLoop, which can wait for them"
-        ) from None
-
-
 async def _is_ready(descriptor: int, seconds: float, *, for_room: bool = False) -> bool:
-    """Wait until bytes have arrived, or there is room; return False after `seconds`."""
+    """Wait until bytes have arrived, or with `for_room`, until bytes can be sent. Return False after `seconds`."""
     loop = asyncio.get_running_loop()
     ready: asyncio.Future[None] = loop.create_future()
     watch(loop, descriptor, lambda: happened(ready), for_room=for_room)
     try:
         return await within(max(seconds, 0.0), ready)
     finally:
-        (loop.remove_writer if for_room else loop.remove_reader)(descriptor)
+        forget(loop, descriptor, for_room=for_room)
 
 
 async def _connected(host: str, port: int, timeout: float) -> tuple[socket.socket, float]:

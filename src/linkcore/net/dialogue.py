@@ -1,10 +1,11 @@
-"""Short questions and answers over TCP, such as single lines, on a connection that is made when it is needed.
+"""Short questions and answers over TCP, such as single lines. The connection is made when it is needed.
 
-An answer does not name its question; they are matched only by their order. So threads take turns. After a failed
+An answer does not name its question, so only the order shows which answer belongs to which question. Therefore threads
+take turns. After a failed
 exchange the connection is closed, because a late answer would be mistaken for the answer to the next question. The next
 question uses a new connection. A question that might have reached the peer is never asked again.
 
-If a signal handler asks while the interrupted thread waits for an answer, it uses a separate connection.
+If a signal handler asks while the interrupted thread waits for an answer, the handler uses a separate connection.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from .undo import MAY_STILL
 
 
 class DialogueProtocol(Protocol):
-    """Protocol of one connection, sans-IO; each connection has a new one."""
+    """Protocol of one connection, without sockets (sans-IO). Each connection has a new protocol object."""
 
     @property
     def is_greeted(self) -> bool:
@@ -36,7 +37,7 @@ class DialogueProtocol(Protocol):
     def settling(self) -> float | None:
         """Seconds without further bytes after which an answer is complete.
 
-        It is None if its end can be recognised.
+        It is None if the answer itself shows where it ends.
         """
 
     def ask(self, text: str) -> bytes:
@@ -50,7 +51,7 @@ class DialogueProtocol(Protocol):
 
 
 class Dialogue:
-    """Dialogue with one peer, which threads may share.
+    """Dialogue with one peer. Several threads may use the same object.
 
     Args:
         transport: Transport of the connection.
@@ -71,7 +72,7 @@ class Dialogue:
         self._name = name
         self._timeout = timeout
         self._lock = threading.RLock()
-        self._asker: int | None = None  # the thread that waits for an answer
+        self._asker: int | None = None  # the thread that is waiting for an answer
         self._protocol: DialogueProtocol | None = None
 
     def ask(
@@ -82,14 +83,14 @@ class Dialogue:
         gate: Callable[[Callable[[], object]], object] = lambda send: send(),
         given_up: Callable[[], object] | None = None,
     ) -> str:
-        """Ask, and wait for the answer.
+        """Send a question, and wait for the answer.
 
         Args:
             text: Question.
             timeout: Maximum time for the whole exchange, in s.
-            stays: Function that gets the answer, and returns whether the connection is kept.
-            gate: Function that calls its argument, which sends and does not wait. It may raise an error to prevent the
-                question from being sent.
+            stays: Function that gets the answer, and returns whether the connection stays open.
+            gate: Function that gets a function and calls it; this call sends the question, and does not wait. The gate
+                can raise an error instead, so that the question is not sent.
             given_up: Function that is called if the question was sent, but no answer was received. The error then
                 states that the question might still be executed. None for a question that changes nothing.
 
@@ -101,10 +102,10 @@ class Dialogue:
             LinkError: If the protocol or the gate raises it.
         """
         if self._asker == threading.get_ident():
-            # This is a signal handler, and the interrupted thread waits for an answer on the connection.
+            # This is a signal handler, and the interrupted thread is waiting for an answer on the connection.
             return self._ask_beside(text, timeout, gate, given_up)
         until = clock.now() + timeout
-        busy = f"{self._name}: {text!r} was not sent, because another thread waited for its reply for {timeout:g} s"
+        busy = f"{self._name}: {text!r} was not sent, because another thread was waiting for a reply for {timeout:g} s"
         is_sent, answer = False, None
 
         def send() -> None:
@@ -134,7 +135,7 @@ class Dialogue:
                     given_up()
                     hint = f"; {MAY_STILL}"
                 if self.is_closed and isinstance(error, ConnectionLost):
-                    raise Closed(f"{self._name} was closed while {text!r} waited for a reply{hint}") from error
+                    raise Closed(f"{self._name} was closed while {text!r} was waiting for a reply{hint}") from error
                 if isinstance(error, (ConnectionLost, LinkTimeout, WrongPeer)):
                     error.args = (f"{error}{hint}",)
                 raise
@@ -144,7 +145,7 @@ class Dialogue:
 
     @property
     def is_busy(self) -> bool:
-        """Whether a thread waits for an answer."""
+        """Whether a thread is waiting for an answer."""
         return self._asker is not None
 
     def _ask_beside(
@@ -154,7 +155,7 @@ class Dialogue:
         gate: Callable[[Callable[[], object]], object],
         given_up: Callable[[], object] | None,
     ) -> str:
-        """Ask on a separate new connection, which is closed afterwards."""
+        """Send a question over a separate new connection, and close this connection afterwards."""
         if self.is_closed:
             raise Closed(f"{self._name} was closed")
         beside = Dialogue(self._transport.another(), self._make, self._name, self._timeout)
@@ -164,7 +165,7 @@ class Dialogue:
             beside.close()
 
     def close(self) -> None:
-        """Disconnect permanently; a question that waits in another thread ends with `Closed`.
+        """Disconnect permanently. If another thread is waiting for an answer, its call raises `Closed`.
 
         Idempotent.
         """
@@ -190,8 +191,8 @@ class Dialogue:
     def _is_in_step(self, protocol: DialogueProtocol) -> bool:
         """Whether the connection is open and idle, so that a question can be sent on it.
 
-        If it was lost, or if the peer has sent something without a question, it can be replaced, because nothing of the
-        next question has been sent yet.
+        If the connection was lost, or if the peer has sent something without a question, a new connection can replace
+        it, because no part of the next question has been sent yet.
         """
         try:
             return self._transport.receive_waiting() is None and protocol.is_in_step

@@ -1,7 +1,7 @@
-"""An HTTP client with a single deadline for a whole exchange: connecting, redirects, and all bytes of the answer.
+"""HTTP client with a single deadline for a whole exchange: connecting, redirects, and all bytes of the answer.
 
-The clients of the standard library limit each wait separately. So a server that sends a byte now and then could block
-them forever.
+The clients of the standard library limit each wait separately. So a server that sends a byte from time to time could
+block such a client forever.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class HttpClient:
     def close(self) -> None:
         """Abort running requests, and send no more. Idempotent, in any thread."""
         self._is_closed = True
-        for transport in tuple(self._open):
+        for transport in list(self._open):
             transport.abort()
 
     def _ask(
@@ -112,7 +112,7 @@ class HttpClient:
             if isinstance(error, (ConnectionLost, LinkTimeout, WrongPeer)):
                 if self._is_closed:
                     what = f"{request.method} {request.target}"
-                    raise Closed(f"{transport.name} was closed while {what} waited for a reply{hint}") from error
+                    raise Closed(f"{transport.name} was closed while {what} was waiting for a reply{hint}") from error
                 error.args = (f"{error}{hint}",)
             raise
         finally:
@@ -121,7 +121,7 @@ class HttpClient:
 
 
 def _received(transport: TcpTransport, parser: HttpParser, left: float) -> HttpResponse | None:
-    """Receive bytes; return the answer if they complete it, or else None."""
+    """Receive bytes; return the answer if it is complete now, or else None."""
     answer: HttpRequest | HttpResponse | None
     try:
         data = transport.receive(left)[0]

@@ -1,14 +1,16 @@
-"""A process that reads a connection for its parent process, which may hold its interpreter's lock for a long time.
+"""Separate process that reads a connection for its parent process, even while the parent cannot run Python code.
 
-It reads and stamps the bytes at once, keeps the newest packet in shared memory, and passes all bytes as records through
-a pipe. If the parent does not read, up to 16 MiB are buffered. Then this process stops reading, so that nothing is
-lost.
+This process reads the bytes and stamps them immediately, keeps the newest packet in shared memory, and passes all bytes
+as records through a pipe. If the parent does not read, up to 16 MiB are buffered. Then this process stops reading, so
+that nothing is lost.
 
-It ends when its parent ends. Its standard input is a pipe that is never written to, and that ends with the parent. If a
-third process has inherited this pipe, the process notices that its parent has changed.
+The process ends when its parent ends. Nothing is ever written to its standard input, which is a pipe that is closed
+when the parent ends. If a third process has inherited this pipe, the process detects that its parent process has
+changed.
 
-There is no lock between the processes. A checksum shows whether a packet in shared memory is complete. A reader that
-reads between two writes reads again. So this is also correct on processors that reorder writes.
+There is no lock between the processes. A checksum shows whether a packet in shared memory is complete. If the checksum
+is wrong, because the packet was being written, the reader reads again. So this method is correct even on processors
+that reorder writes.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ import os
 import select
 import signal
 import struct
+import sys
 import tempfile
 import zlib
 from collections.abc import Callable, Iterator
@@ -39,13 +42,14 @@ _LOOK = 0.5
 
 CONNECTED = b"C"  # the connection was made; the payload is the duration of its handshake in s
 DATA = b"D"  # the payload is the received bytes
-LOST = b"L"  # it could not be made, or was lost; the payload is the class of the error, a space, and the message
+# The connection could not be made, or was lost; the payload is the class of the error, a space, and the message.
+LOST = b"L"
 
 _HEADER = struct.Struct("<cIdd")
 
 
 class HandedOver(NamedTuple):
-    """A record in the pipe."""
+    """Record that was passed through the pipe."""
 
     kind: bytes
     payload: bytes
@@ -74,11 +78,12 @@ class Records:
             yield HandedOver(kind, payload, Stamp(monotonic, wall))
 
 
-#: Number of the packet, its length, checksum of everything except the checksum, monotonic time and wall time.
+#: Header in the shared memory: number of the packet, length, checksum of all other data, monotonic time and wall time.
 _SLOT = struct.Struct("<QIIdd")
 #: Maximum size of a packet in bytes; longer packets are not kept.
 _ROOM = 1 << 16
-#: Maximum number of tries of a reader. Writing takes a microsecond or two, and packets follow each other every 2 ms.
+#: Maximum number of attempts to read a packet. Writing a packet takes one or two microseconds, and a packet is written
+#: every 2 ms.
 _LOOKS = 20
 
 
@@ -117,7 +122,7 @@ class Slot:
     def get(self) -> tuple[int, bytes, Stamp] | None:
         """Return the number of the packet, the packet, and the arrival time of its bytes.
 
-        Return None if there is none.
+        Return None if there is no packet.
         """
         for _ in range(_LOOKS):
             number, length, checksum, monotonic, wall = _SLOT.unpack_from(self._memory)
@@ -145,7 +150,8 @@ class _Pipe:
 
     def __init__(self, descriptor: int) -> None:
         self.descriptor = descriptor
-        os.set_blocking(descriptor, False)
+        if sys.platform != "win32":  # see IsolatedTransport
+            os.set_blocking(descriptor, False)
         self._waiting = bytearray()
 
     @property
@@ -224,7 +230,7 @@ def _relay(transport: TcpTransport, pipe: _Pipe, newest: Slot, framer: Framer, p
 def _is_wanted(parent: int, reads: list[int], writes: list[int]) -> tuple[bool, list[Any]]:
     """Wait for an event.
 
-    Return whether the parent process still runs, and the readable descriptors.
+    Return whether the parent process is still running, and the readable descriptors.
     """
     ready, _, _ = select.select([*reads, 0], writes, [], _LOOK)
     if (0 in ready and not os.read(0, 1)) or os.getppid() != parent:

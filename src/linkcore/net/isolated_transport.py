@@ -1,4 +1,4 @@
-"""A transport whose connection is read by another process."""
+"""Transport for a connection that a separate process reads."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _PROGRAM = (
     "import json, sys; path, arguments = json.loads(sys.argv[1]); sys.path[:] = path; "
     "from linkcore.net.isolated_reader import read_for; read_for(**arguments)"
 )
-#: Maximum time in s in which a new interpreter starts, on a busy machine.
+#: Maximum time in s in which a new interpreter starts on a busy computer.
 _BEGINNING = 10.0
 #: Maximum number of bytes read from the pipe at once.
 _CHUNK = 1 << 16
@@ -33,9 +33,11 @@ _END = 2.0
 
 
 class IsolatedTransport:
-    """Transport whose bytes are read by a separate process, which is started and killed with each connection.
+    """Transport for a connection that a separate process reads.
 
-    It cannot send, so it is only for interfaces that need no input.
+    The process is started with each connection, and killed at the end of the connection.
+
+    The transport cannot send, so use it only for interfaces that need no input.
 
     Args:
         host: See `TcpTransport`.
@@ -51,10 +53,7 @@ class IsolatedTransport:
     def __init__(
         self, host: str, port: int, *, silence: float, boundary: str, decode: Callable[[bytes, Stamp], Any]
     ) -> None:
-        if sys.platform == "win32":
-            raise LocalError("isolate=True shares memory by descriptors, which Windows does not support; omit it")
-        if not sys.executable:
-            raise LocalError("isolate=True needs a Python interpreter to start, but sys.executable is not set; omit it")
+        _check_system()
         self.name = f"{host}:{port}"
         self.round_trip = math.inf
         self._arguments = {"host": host, "port": port, "silence": silence, "boundary": boundary}
@@ -74,7 +73,7 @@ class IsolatedTransport:
     def newest(self) -> Any | None:
         """Return the newest packet that the other process has read; None if there is none.
 
-        It is decoded in this call, so no other thread of this process must have run before.
+        The packet is decoded in this call, so the result does not depend on another thread of this process.
 
         Raises:
             PacketError: If no layout can hold the packet.
@@ -97,7 +96,7 @@ class IsolatedTransport:
     # -- the connection --------------------------------------------------------------------------
 
     def open(self, timeout: float) -> None:
-        """Start the process, and let it connect within `timeout` seconds.
+        """Start the process, and wait until it has connected, for at most `timeout` seconds.
 
         Raises:
             ConnectFailed, LinkTimeout: See `TcpTransport.open`.
@@ -163,9 +162,7 @@ class IsolatedTransport:
                 raise ConnectionLost(f"{self.name} was closed by this program")
             self._is_receiving = True
         try:
-            poll = select.poll()
-            poll.register(process.stdout, select.POLLIN)
-            if not poll.poll(timeout * 1e3):
+            if not _is_readable(process.stdout.fileno(), timeout):
                 return None
             data = os.read(process.stdout.fileno(), _CHUNK)
             if data:
@@ -179,7 +176,7 @@ class IsolatedTransport:
                     process.stdout.close()
 
     def send(self, data: bytes, timeout: float) -> None:
-        """Raise, because this transport cannot send.
+        """Raise an error, because this transport cannot send.
 
         Raises:
             LocalError: If called.
@@ -187,7 +184,7 @@ class IsolatedTransport:
         self.send_some(data)
 
     def send_some(self, data: bytes | memoryview) -> int:
-        """Raise; see `send`."""
+        """Raise an error; see `send`."""
         raise LocalError(f"{self.name} is read by another process, so this program cannot send to it")
 
     def wait_for_room(self, timeout: float) -> bool:
@@ -196,12 +193,12 @@ class IsolatedTransport:
 
     def abort(self) -> None:
         """End the process, and with it the connection. Idempotent, in any thread."""
-        if not self._home.is_here:  # the reading process belongs to the parent of this one
+        if not self._home.is_here:  # the reading process belongs to the parent of this process
             return
         with self._lock:
             process, self._process = self._process, None
             slot, self._slot = self._slot, None
-            # While `_read` runs, it closes its pipe itself, so that the descriptor is not reused too early.
+            # While `_read` runs, `_read` closes the pipe itself, so that the descriptor is not reused too early.
             is_receiving = self._is_receiving
         if process is not None:
             process.kill()
@@ -214,8 +211,32 @@ class IsolatedTransport:
             slot.close()
 
     def close(self) -> None:
-        """Do the same as `abort`, because there is no sent data to wait for."""
+        """Do the same as `abort`, because no sent data has to be acknowledged."""
         self.abort()
+
+
+def _check_system() -> None:
+    """Check that a process can be started that shares memory with this process.
+
+    Raises:
+        LocalError: See `IsolatedTransport`.
+    """
+    if sys.platform == "win32":
+        raise LocalError("isolate=True needs to share a file descriptor, which Windows does not support; omit isolate")
+    elif not sys.executable:
+        raise LocalError(
+            "isolate=True starts a Python interpreter, but sys.executable is not set; set it, or omit isolate"
+        )
+
+
+def _is_readable(descriptor: int, seconds: float) -> bool:
+    """Wait until a pipe can be read, or its other end is closed; return False after `seconds`."""
+    if sys.platform == "win32":
+        raise NotImplementedError("no transport of this kind exists on Windows")
+    else:
+        poll = select.poll()
+        poll.register(descriptor, select.POLLIN)
+        return bool(poll.poll(seconds * 1e3))
 
 
 def _error(said: str) -> RemoteError:

@@ -1,23 +1,26 @@
-"""Listening sockets, and `TcpListener`, which waits for a single peer.
+"""Listening sockets, and the class `TcpListener`, which waits for a single peer.
 
-All listening sockets of the project are made here. A server of many clients gets its sockets from `linkcore.net.loop`,
-which makes them here too. The same rules for host names apply to every port that this project opens:
+All listening sockets of the project are made in this module, even those of servers with many clients:
+`linkcore.net.loop` calls this module. The same rules for host names apply to every port that this project opens:
 
-- `""` is every IPv4 address of this computer. The peers are robots and their tools, whose programs open sockets only to
-  IPv4 addresses.
+- `""` is every IPv4 address of this computer. IPv4 is sufficient, because programs of robots open sockets only to IPv4
+  addresses.
 - `"::"` is every address of either family (dual stack), if the system has IPv6.
-- A name or an address is this address. If a name has addresses of both families, its IPv4 address is used.
+- Any other address is used as it is. A host name is resolved; if it has addresses of both families, the IPv4 address is
+  used.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import socket
 import weakref
 
 from ..errors import BadAddress, ConnectFailed, ConnectionLost, LinkTimeout
 from ..process import HomeProcess
+from ..threads import MadeOnce
 from .transport import TcpTransport, mapped
 
 #: Seconds without a byte after which an accepted connection is considered silent.
@@ -63,7 +66,7 @@ def bound_socket(host: str, port: int, *, purpose: str = "") -> socket.socket:
 
 
 def numeric_host(address: str) -> str:
-    """Return the address of a peer in the form for comparing and printing.
+    """Return the address of a peer in a form that can be compared and printed.
 
     An IPv4 address that a dual-stack socket reports as IPv6 becomes IPv4 again.
 
@@ -81,7 +84,7 @@ class TcpListener:
         port: TCP port; 0 for a free port.
 
     Attributes:
-        address: Address (host, port) on which it listens.
+        address: Address (host, port) on which the listener listens.
 
     Raises:
         BadAddress: If the address is in use, is not an address of this computer, or has an invalid port.
@@ -94,23 +97,26 @@ class TcpListener:
         except OSError as error:  # another socket that was bound to the same port already listens
             listener.close()
             raise BadAddress(f"cannot listen on {host or '*'}:{port}: {error.strerror}") from error
-        self._socket: socket.socket | None = listener
+        # One thread takes it to close it. Two threads that closed a descriptor at the same time could close the
+        # descriptor of another connection.
+        self._socket: MadeOnce[socket.socket] = MadeOnce()
+        self._socket.keep(listener)
         bound = listener.getsockname()
         self.address: tuple[str, int] = (bound[0], bound[1])
         self._home = HomeProcess(f"{self.address[0]}:{self.address[1]}")
         _listeners.add(self)
 
     def accept(self, timeout: float) -> TcpTransport:
-        """Wait up to `timeout` seconds for a connection, and return it; with 0, only accept a waiting one.
+        """Wait up to `timeout` seconds for a connection, and return it; with 0, accept only a waiting connection.
 
         Raises:
             LinkTimeout: If no peer connects in time.
             ConnectFailed: If the listener was closed.
-            ConnectionLost: If the peer has disconnected again.
+            ConnectionLost: If the peer has connected and already disconnected.
             LocalError: If this process was forked from the process that listens.
         """
         self._home.check()
-        listener = self._socket
+        listener = self._socket.made
         where = f"{self.address[0]}:{self.address[1]}"
         if listener is None:
             raise ConnectFailed(f"the listener on {where} was closed")
@@ -124,6 +130,8 @@ class TcpListener:
         except ConnectionError as error:
             raise mapped(error, f"a connection to {where}", timeout, ConnectionLost) from error
         except OSError as error:
+            if error.errno == errno.ENOTCONN:  # the connection was reset before it was accepted (Wine)
+                raise mapped(error, f"a connection to {where}", timeout, ConnectionLost) from error
             raise mapped(error, f"waiting on {where}", timeout, ConnectFailed) from error
         transport = TcpTransport(numeric_host(peer[0]), peer[1], silence=_SILENCE)
         transport.adopt(connection)
@@ -132,9 +140,9 @@ class TcpListener:
     def close(self) -> None:
         """Stop listening, and wake a thread that waits in `accept`.
 
-        Accepted connections stay. Idempotent.
+        Accepted connections stay open. Idempotent.
         """
-        listener, self._socket = self._socket, None
+        listener = self._socket.take()
         if listener is None:
             return
         # On systems that cannot shut down a listening socket, closing it wakes the thread.
@@ -154,9 +162,9 @@ _listeners: weakref.WeakSet[TcpListener] = weakref.WeakSet()
 
 
 def _leave_to_parent() -> None:
-    """Close the copies in a forked child, so that no call there accepts or refuses the parent's connections."""
+    """Close the copies of the sockets in a forked child, so that it cannot take the parent's connections."""
     for each in list(_listeners):
-        listener, each._socket = each._socket, None
+        listener = each._socket.take()
         if listener is not None:
             listener.close()
 
@@ -166,7 +174,7 @@ if hasattr(os, "register_at_fork"):  # not on Windows, which cannot fork
 
 
 def addresses(host: str) -> frozenset[str]:
-    """Return the numeric addresses of a host, in the form of the peers of `TcpListener.accept`.
+    """Return the numeric addresses of a host, in the same form as the addresses of accepted peers.
 
     Raises:
         ConnectFailed: If there is no such host.

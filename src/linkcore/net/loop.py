@@ -1,9 +1,9 @@
-"""A selector loop that serves many TCP clients in one thread, and never waits for any of them.
+"""Selector loop, which serves many TCP clients in one thread and never waits for a single client.
 
 A server of this project (the simulated controller, the RHD host) is a `SelectorLoop`. It has a `ListeningPort` for each
-TCP port, and a `Handler` for each connection. The handler is sans-IO: it gets bytes, and answers with
-`Connection.write`. The thread that owns the loop calls `serve_once` between two of its own deadlines, such as the
-cycles of a controller::
+TCP port, and a `Handler` for each connection. The handler uses no sockets (sans-IO): it gets bytes, and sends its
+answers with `Connection.write`. The thread that owns the loop calls `serve_once` between two of its own deadlines, such
+as the cycles of a controller::
 
     loop = SelectorLoop()
     loop.listen("127.0.0.1", 0, accept)            # accept(connection) -> Handler
@@ -54,13 +54,16 @@ OUTPUT_LIMIT = 1 << 20
 #: Maximum number of bytes that are read from one client at a time.
 CHUNK = 1 << 16
 
-# Maximum number of connections that wait in the kernel, and that are accepted in one poll.
+# Maximum number of connections that wait in the kernel; maximum number of connections that are accepted in one poll.
 _BACKLOG, _ACCEPTS = 64, 16
-# Size of the kernel's buffer for a client, in bytes. By default it grows to megabytes, which are seconds of old data.
+# Size of the kernel's buffer for a client, in bytes. By default, this buffer grows to megabytes, which hold seconds of
+# old data.
 _KERNEL_BUFFER = 1 << 18
-# Minimum time in s for serving events, even if the owner is already late. Otherwise its clients would starve.
+# Minimum time in s for serving events, even if the owner of the loop is already late. Without it, clients might never
+# be served.
 _LEAST_SLICE = 1e-3
-# Pause in s after the process ran out of descriptors. Without it, the kernel would immediately report the same again.
+# Pause in s after the process ran out of descriptors. Without the pause, the kernel would immediately report the same
+# waiting client again.
 _OUT_OF_DESCRIPTORS = 0.2
 _EXHAUSTED = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
 # `select` accepts only descriptors below this number.
@@ -78,21 +81,21 @@ class Handler:
 
     @property
     def is_busy(self) -> bool:
-        """Whether the client keeps its slot while no bytes pass, because it waits for this server."""
+        """Whether the client keeps its slot although no bytes are transferred, because it waits for this server."""
         return False
 
     def data_received(self, data: bytes) -> None:
         """Process received bytes. The handler must find the boundaries of frames itself."""
 
     def drained(self) -> None:
-        """Notice that the kernel has accepted all written data, after some of it was buffered."""
+        """Handle the end of buffering: the kernel has now accepted all written data."""
 
     def connection_lost(self, reason: str, *, by_peer: bool) -> None:
-        """Notice that the connection is closed. No other method is called after this one.
+        """Handle the end of the connection. No other method is called after this one.
 
         Args:
             reason: Reason, for a log.
-            by_peer: Whether the peer has closed or reset it, rather than this side.
+            by_peer: Whether the peer, and not this side, has closed or reset the connection.
         """
 
 
@@ -130,7 +133,7 @@ class Connection:
 
     @property
     def is_open(self) -> bool:
-        """Whether it is connected, and neither `close` nor `finish` was called."""
+        """Whether the client is connected, and neither `close` nor `finish` was called."""
         return self._is_open and not self._is_finishing
 
     @property
@@ -143,8 +146,8 @@ class Connection:
     def write(self, data: bytes) -> None:
         """Send `data`: as much as the kernel accepts now, and the rest later.
 
-        No effect on a closed connection. The connection of a client that does not read is reset if more than
-        `output_limit` bytes of the port would be buffered.
+        This has no effect on a closed connection. If the client does not read, so that more than the `output_limit` of
+        the port would be buffered, the connection is reset.
         """
         if not self.is_open or self._is_deaf:
             return
@@ -337,7 +340,7 @@ class ListeningPort:
         self._watch()
 
     def refuse(self) -> None:
-        """Let the kernel refuse connections until `listen` is called. Connected clients stay."""
+        """Let the kernel refuse connections until `listen` is called. Clients stay connected."""
         if not self.is_listening:
             return
         self.is_listening = False
@@ -357,7 +360,7 @@ class ListeningPort:
         self._watch()
 
     def close(self) -> None:
-        """Stop listening. Connected clients stay."""
+        """Stop listening. Clients stay connected."""
         self.is_listening = False
         self._watch()
         self._socket.close()
@@ -416,7 +419,7 @@ class ListeningPort:
     def _has_slot(self) -> bool:
         """Whether a slot is free for a new client.
 
-        If not, it takes the slot of the client that is idle for longest.
+        If no slot is free, the slot of the client that has been idle for longest is freed.
         """
         if len(self.connections) < self._limit:
             return True
@@ -495,7 +498,7 @@ class SelectorLoop:
                 `ListeningPort.listen` is called.
 
         Raises:
-            BadAddress: If it cannot listen on the address.
+            BadAddress: If the loop cannot listen on the address.
         """
         port = ListeningPort(
             self, host, number, accept, purpose=purpose, limit=limit, idle=idle, output_limit=output_limit, chunk=chunk
@@ -519,7 +522,7 @@ class SelectorLoop:
         If this is called in the same thread, or after the loop was closed, `change` is called at once.
 
         Raises:
-            LinkTimeout: If it is not done in time. A call that has not begun by then is not made.
+            LinkTimeout: If the call is not done in time. If it has not begun by then, it is not made.
             Exception: If `change` raises it.
         """
         done: Future[None] | None = None
@@ -583,7 +586,7 @@ class SelectorLoop:
         """Close all ports and connections. Idempotent.
 
         Args:
-            within: Maximum time in s in which buffered data is still sent, and clients can read it.
+            within: Maximum time in s for sending buffered data, and for clients to read this data.
         """
         if self._is_closed:
             return
@@ -613,11 +616,12 @@ class SelectorLoop:
         if self._select_from is not None:
             return self._selector.select(0) if select.select(self._select_from, (), (), seconds)[0] else []
         # Wait for whole milliseconds, rounded down, because the selector rounds up. Then sleep for the rest.
-        whole = int(seconds * 1e3) * 1e-3
-        events = self._selector.select(whole)
-        if not events and whole == 0.0:
-            clock.sleep(seconds)
-        return events
+        until = clock.now() + seconds
+        events = self._selector.select(int(seconds * 1e3) * 1e-3)
+        if events:
+            return events
+        clock.sleep(clock.left(until))
+        return self._selector.select(0)
 
     def _register(self, link: socket.socket, before: int, after: int, data: Connection | ListeningPort) -> None:
         if not before:
@@ -702,9 +706,11 @@ class SelectorLoop:
             connection._socket.close()
         for port in self.ports:
             port._socket.close()
-        self._selector.close()
         self._waker.close()
         self._woken.close()
+        # A child does not inherit a kqueue (macOS), so closing it fails before CPython 3.11.7 and 3.12.1.
+        with contextlib.suppress(OSError):
+            self._selector.close()
 
 
 #: All loops of this process.
@@ -712,7 +718,7 @@ _loops: weakref.WeakSet[SelectorLoop] = weakref.WeakSet()
 
 
 def _leave_all_to_parent() -> None:
-    """Close the copies of the sockets in a forked child, so that no call there can disturb the parent's clients.
+    """Close the copies of the sockets in a forked child, so that the child cannot disturb the parent's clients.
 
     An open copy would also prevent the kernel from ending a connection that the parent closes.
     """

@@ -1,6 +1,7 @@
-"""An outgoing TCP connection that never blocks, because its owner polls it, for example once per cycle.
+"""Outgoing TCP connection that never blocks. The owner polls the connection, for example once per cycle.
 
-It is for programs whose time is counted in cycles. A thread or a wait would make their result depend on the machine.
+Use it for programs whose time is counted in cycles. With a thread or a wait, the result of such a program would depend
+on the speed of the computer.
 """
 
 from __future__ import annotations
@@ -18,15 +19,16 @@ _IN_PROGRESS = {0, errno.EINPROGRESS, errno.EWOULDBLOCK, errno.EALREADY}
 
 
 class PolledConnection:
-    """Connection that starts to connect when the object is made.
+    """Outgoing connection. The connection attempt starts when the object is made.
 
-    Its methods never wait or raise `OSError`. It holds a descriptor while it connects and while it is open.
+    The methods never wait, and never raise `OSError`. The object uses a descriptor while it connects and while it is
+    open.
 
     Args:
         host: Numeric address. Names are not resolved, because this can take seconds.
         port: TCP port, 1 to 65535.
         most_waiting: Maximum number of bytes in `received`. If there are more, the peer has to wait.
-        source: Numeric address of this computer to connect from; None if the system should choose it.
+        source: Numeric address of this computer from which to connect; None if the system should choose it.
 
     Attributes:
         received: Received bytes. The owner deletes the bytes that it has used.
@@ -73,8 +75,8 @@ class PolledConnection:
     def send(self, data: bytes) -> bool:
         """Send all of `data` at once.
 
-        Return False if it is not open, or if the peer does not accept all of the data. In the second case the
-        connection is closed.
+        Return False if the connection is not open, or if the peer does not accept all of the data. In the second case,
+        the connection is closed.
         """
         if self.state != "open" or self._socket is None:
             return False

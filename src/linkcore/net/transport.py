@@ -1,19 +1,19 @@
-"""Sources of bytes: a TCP connection with deadlines.
+"""Transports, which are sources of bytes, and `TcpTransport`, a TCP connection with deadlines.
 
-A transport is opened, read until it raises, closed, and opened again. It raises only errors of this library. Errors of
-the operating system are converted here and nowhere else.
+A transport is opened, read until it raises an error, closed, and opened again. It raises only errors of this library.
+Errors of the operating system are converted in this module and nowhere else.
 
-Data of a failed call must not arrive later. But normally TCP retransmits data that `send` has passed to the kernel for
-minutes, even after `close` and after the end of the process (`tcp_retries2` of Linux: about 15 minutes). The data
-arrives when the network is available again. A robot would then execute a motion whose call failed long ago. Three
-settings prevent this:
+Data of a failed call must not arrive later. Normally, after `send` has passed data to the kernel, TCP retransmits this
+data for several minutes, even after `close` and after the end of the process (`tcp_retries2` of Linux: about 15
+minutes). The data then arrives when the network is available again. A robot would execute a motion although the call
+for this motion failed long ago. Three measures prevent this:
 
 - `SO_LINGER` of 0 s is set from the beginning. When the connection ends, by `abort`, a crash of the process or the
   garbage collector, the kernel discards its data and resets the connection (tcp(7), RFC 1122 section 4.2.2.13).
 - `close` is orderly: it first waits, for a limited time, until the peer's kernel has acknowledged everything.
 - `TCP_USER_TIMEOUT` (RFC 5482; Linux): the kernel ends the connection on its own if no data is acknowledged for as long
   as the peer may be silent. This works even while this process is suspended or delayed, so that no thread can call
-  `abort`.
+  `abort`. On macOS, `TCP_RXT_CONNDROPTIME` limits the retransmissions in the same way, in whole seconds.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ from ..clock import Stamp
 from ..errors import ConnectFailed, ConnectionLost, LinkError, LinkTimeout, LocalError, RemoteError, unraised
 from ..pending_call import check_wanted, interruptible
 from ..process import HomeProcess
+from ..threads import MadeOnce
 
 if sys.platform == "linux":
     import fcntl
@@ -59,20 +60,20 @@ _new_stamp = tuple.__new__
 
 
 class Finished(Exception):
-    """The regular end of the bytes, at the end of a recording."""
+    """Regular end of the bytes, at the end of a recording."""
 
 
 class Transport(Protocol):
-    """A source of bytes."""
+    """Source of bytes, which can be opened again after its end."""
 
     #: Name of the peer, used in messages.
     name: str
 
     @property
     def round_trip(self) -> float:
-        """Duration of the handshake of the last connection, there and back, in s.
+        """Duration of the handshake (a round trip) of the last connection, in s.
 
-        It is `inf` if there was none.
+        It is `inf` if there was no handshake.
         """
 
     def open(self, timeout: float) -> None:
@@ -103,11 +104,11 @@ class Transport(Protocol):
         """
 
     def close(self) -> None:
-        """Disconnect after the sent data is delivered, within a limited time; then do the same as `abort`."""
+        """Wait until sent data is delivered, for a limited time; then disconnect as `abort` does."""
 
 
 class TcpTransport:
-    """A TCP connection, made by `open` on this side, or by a peer and passed to `adopt`.
+    """TCP connection. It is made by `open`, or by a peer; in the second case, pass its socket to `adopt`.
 
     Args:
         host: Host name or address.
@@ -130,6 +131,9 @@ class TcpTransport:
         self._refused = refused
         self._home = HomeProcess(self.name)
         self._socket: socket.socket | None = None
+        # The same socket, until one thread removes it in one step to close it. Two threads that closed a descriptor at
+        # the same time could close the descriptor of another connection.
+        self._owned: MadeOnce[socket.socket] = MadeOnce()
         self._receive_timeout = silence  # current timeout of the socket
 
     def another(self) -> TcpTransport:
@@ -144,7 +148,7 @@ class TcpTransport:
             LinkTimeout: If the host does not answer in time.
             LocalError: If this process was forked from the process that made the transport. All other methods raise it
                 too.
-            Cancelled: If this thread makes a pending call that was abandoned. See `linkcore.pending_call`.
+            Cancelled: If this thread is making a pending call that was abandoned. See `linkcore.pending_call`.
         """
         self._home.check()
         self.abort()
@@ -172,7 +176,9 @@ class TcpTransport:
             connection.close()
             raise mapped(error, self.name, self.silence, otherwise) from error
         self._receive_timeout = self.silence
-        self._socket = connection if _witness is None else _witness(self, connection)
+        owned = connection if _witness is None else _witness(self, connection)
+        self._owned.keep(owned)
+        self._socket = owned
         _connections.add(self)
 
     def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
@@ -195,9 +201,10 @@ class TcpTransport:
             if timeout != self._receive_timeout:
                 self._set_receive_timeout(connection, max(timeout, 0.0))
             data = connection.recv(_CHUNK)
-        except BlockingIOError:
-            raise LinkTimeout(f"{self.name}: nothing received within {max(timeout, 0.0):g} s") from None
         except OSError as error:
+            # On Windows, the timeout is Python's own, whose error has no number.
+            if isinstance(error, BlockingIOError) or (isinstance(error, TimeoutError) and error.errno is None):
+                raise LinkTimeout(f"{self.name}: nothing received within {max(timeout, 0.0):g} s") from None
             raise mapped(error, self.name, timeout, ConnectionLost) from error
         if not data:
             raise self._ended(connection)
@@ -255,7 +262,7 @@ class TcpTransport:
         """Send all of `data` within `timeout` seconds, by passing it to the kernel.
 
         Raises:
-            LinkTimeout: If the peer does not accept it in time. Part of it may have been sent.
+            LinkTimeout: If the peer does not accept the data in time. A part of the data might have been sent.
             ConnectionLost: If the connection is lost.
         """
         until = clock.now() + timeout
@@ -273,7 +280,7 @@ class TcpTransport:
 
         Raises:
             ConnectionLost: If the connection is lost.
-            Cancelled: If this thread makes a pending call that was abandoned. See `linkcore.pending_call`.
+            Cancelled: If this thread is making a pending call that was abandoned. See `linkcore.pending_call`.
         """
         connection = self._socket
         if connection is None:
@@ -316,20 +323,22 @@ class TcpTransport:
 
         Wakes threads that receive or send.
         """
-        connection, self._socket = self._socket, None
-        if connection is None:
+        self._socket = None
+        connection = self._owned.take()
+        if connection is None:  # it is not connected, or another thread closes it
             return
-        # Not SHUT_RDWR, which would append the end of the stream to the bytes to be discarded, and deliver both.
+        # Do not use SHUT_RDWR. It would append the end of the stream to the bytes that must be discarded, and deliver
+        # both.
         with contextlib.suppress(OSError):  # already disconnected, so no thread waits on it
             connection.shutdown(socket.SHUT_RD)
         connection.close()
 
     def close(self, timeout: float = _DRAIN) -> None:
-        """Disconnect when the peer's kernel has acknowledged all sent data; after `timeout` seconds do as `abort`.
+        """Disconnect when the peer has acknowledged all sent data, but after `timeout` seconds at the latest.
 
-        `receive` continues meanwhile. Linux and macOS report unacknowledged data, but Windows does not. There, the
-        connection is closed at once, and the kernel continues to deliver the data. Call `abort` if data must not arrive
-        any more.
+        After `timeout`, unacknowledged data is discarded, as by `abort`. `receive` continues during the wait. Linux and
+        macOS report unacknowledged data, but Windows does not. There, the connection is closed at once, and the kernel
+        continues to deliver the data. Call `abort` if data must not arrive any more.
         """
         for pause in self.closing(timeout):
             clock.sleep(pause)
@@ -347,8 +356,8 @@ class TcpTransport:
             until = clock.now() + timeout
             # An acknowledgement takes about 50 us on a local network, and up to 40 ms if it is delayed.
             pause = 0.0002
-            # No data is added meanwhile. The FIN counts as one byte, and does not have to be acknowledged.
-            while (is_under_way := _unacknowledged(connection) > 1) and clock.now() < until:
+            # No data is added meanwhile.
+            while (is_under_way := _unacknowledged(connection) > 0) and clock.now() < until:
                 yield pause
                 pause = min(2 * pause, 0.01)
             if not is_under_way:
@@ -381,12 +390,13 @@ _connections: weakref.WeakSet[TcpTransport] = weakref.WeakSet()
 
 
 def _leave_to_parent() -> None:
-    """Close the copies of the sockets in a forked child, so that no call there can end the parent's connections.
+    """Close the copies of the sockets in a forked child, so that the child cannot end the parent's connections.
 
     An open copy would also prevent the kernel from ending a connection that the parent closes.
     """
     for transport in list(_connections):
-        connection, transport._socket = transport._socket, None
+        transport._socket = None
+        connection = transport._owned.take()
         if connection is not None:
             connection.close()
 
@@ -430,16 +440,27 @@ def _connected(host: str, port: int, timeout: float) -> tuple[socket.socket, flo
 
 
 def _interrupt(connection: socket.socket) -> None:
-    """End the wait of another thread that connects this socket.
+    """End the wait of another thread that is connecting this socket.
 
-    Except on Linux, it may last until its timeout.
+    On systems other than Linux, the wait might last until its timeout.
     """
     with contextlib.suppress(OSError):
         connection.shutdown(socket.SHUT_RDWR)
 
 
-#: struct linger: whether it is on, and the seconds. It has two ints, but two shorts on Windows (winsock2.h).
+#: TCP_RXT_CONNDROPTIME of netinet/tcp.h of macOS, in s; the module `socket` does not define it. Not verified on a Mac.
+_DROP_TIME = 0x80
+
+#: SO_NWRITE of sys/socket.h of macOS: number of bytes in the send buffer. Not verified on a Mac.
+_SO_NWRITE = 0x1024
+
+#: struct linger: whether lingering is on, and its time in s. The struct has two ints; on Windows, two shorts
+#: (winsock2.h).
 _LINGER = struct.Struct("hh" if sys.platform == "win32" else "ii")
+
+
+#: Option of Windows: seconds after which unacknowledged data ends the connection.
+_TCP_MAXRT = 5
 
 
 def _prepare(connection: socket.socket, silence: float) -> None:
@@ -448,11 +469,22 @@ def _prepare(connection: socket.socket, silence: float) -> None:
     # A controller that has lost power sends no FIN. `silence` detects this sooner; keepalive frees the socket.
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     if hasattr(socket, "TCP_USER_TIMEOUT"):
-        # In ms; 0 would be the system's default. It equals `silence`, because after that time the connection is
-        # considered lost on this side too.
+        # The option is in ms; 0 would select the system's default. It equals `silence`, because after this time the
+        # connection is considered lost on this side too.
         milliseconds = min(max(round(silence * 1e3), 1), 2**31 - 1)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds)
+    elif sys.platform == "win32":
+        # 0 would select the system's default. It was not verified on Windows; Wine rejects it.
+        with contextlib.suppress(OSError):
+            connection.setsockopt(socket.IPPROTO_TCP, _TCP_MAXRT, _whole_seconds(silence))
+    elif sys.platform == "darwin":
+        connection.setsockopt(socket.IPPROTO_TCP, _DROP_TIME, _whole_seconds(silence))
     _set_receive_timeout(connection, silence)
+
+
+def _whole_seconds(silence: float) -> int:
+    """Return `silence` rounded up for a kernel that counts in s, where 0 would mean no limit."""
+    return min(max(math.ceil(silence), 1), 2**31 - 1) if math.isfinite(silence) else 2**31 - 1
 
 
 def _has_room(connection: socket.socket, seconds: float) -> bool:
@@ -466,31 +498,32 @@ def _has_room(connection: socket.socket, seconds: float) -> bool:
         raise OSError(errno.EBADF, "closed")
     if sys.platform == "win32":
         return bool(select.select([], [connection], [], seconds)[1])
-    # Not `select`, which accepts no descriptors above 1023; a program with many robots has such descriptors. While poll
-    # waits, the kernel keeps the socket open, so `abort` takes effect when poll returns. With POLLRDHUP, SHUT_RD wakes
-    # poll (Linux).
-    ended = getattr(select, "POLLRDHUP", 0)
-    poll = select.poll()
-    poll.register(number, select.POLLOUT | ended)
-    events = sum(mask for _, mask in poll.poll(seconds * 1e3))
-    if events & ended and not events & select.POLLOUT:
-        raise OSError(errno.EPIPE, "the connection ended")
-    return bool(events)
+    else:
+        # Do not use `select`. It accepts no descriptors above 1023, and a program with many robots has such
+        # descriptors. While poll waits, the kernel keeps the socket open, so `abort` takes effect when poll returns.
+        # With POLLRDHUP, SHUT_RD wakes poll (Linux).
+        ended: int = getattr(select, "POLLRDHUP", 0)
+        poll = select.poll()
+        poll.register(number, select.POLLOUT | ended)
+        events = sum(mask for _, mask in poll.poll(seconds * 1e3))
+        if events & ended and not events & select.POLLOUT:
+            raise OSError(errno.EPIPE, "the connection ended")
+        return bool(events)
 
 
 def _unacknowledged(connection: socket.socket) -> int:
-    """Return the number of unacknowledged bytes, the FIN included as one.
+    """Return the number of unacknowledged bytes of a connection after SHUT_WR.
 
-    Return 0 if the system does not report it.
+    The FIN is not counted, because it does not have to be acknowledged. Return 0 if the system does not report it.
     """
     if sys.platform == "linux":
-        # SIOCOUTQ has the number of TIOCOUTQ (linux/sockios.h).
+        # SIOCOUTQ has the number of TIOCOUTQ (linux/sockios.h). It counts the FIN as one byte.
         (count,) = struct.unpack("i", fcntl.ioctl(connection, termios.TIOCOUTQ, bytes(4)))
+        return max(int(count) - 1, 0)
     elif sys.platform == "darwin":
-        count = connection.getsockopt(socket.SOL_SOCKET, 0x1024)  # SO_NWRITE of sys/socket.h; not verified on a Mac
+        return connection.getsockopt(socket.SOL_SOCKET, _SO_NWRITE)
     else:
-        count = 0
-    return int(count)
+        return 0
 
 
 def _set_receive_timeout(connection: socket.socket, seconds: float) -> None:
@@ -500,12 +533,13 @@ def _set_receive_timeout(connection: socket.socket, seconds: float) -> None:
     """
     if sys.platform == "win32":
         connection.settimeout(seconds)
-        return
-    connection.settimeout(None)
-    # struct timeval is two words of 4 or 8 bytes, and the size of the option shows which. `long` would be wrong on a
-    # 32-bit system whose time_t has 64 bits (Debian 13, and Raspberry Pi OS based on it), which has two words of 8.
-    size = len(connection.getsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, 32))
-    connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _timeval(seconds, size))
+    else:
+        connection.settimeout(None)
+        # struct timeval consists of two numbers of 4 or 8 bytes each; the size of the option shows their size. Two
+        # numbers of type `long` would be wrong on a 32-bit system with a 64-bit time_t (Debian 13, and Raspberry Pi OS
+        # based on it), where each number has 8 bytes.
+        size = len(connection.getsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, 32))
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _timeval(seconds, size))
 
 
 def _timeval(seconds: float, size: int) -> bytes:
@@ -535,6 +569,6 @@ def mapped(error: OSError | ValueError, doing: str, timeout: float, otherwise: t
         return otherwise(f"{doing}: no such host ({error.strerror})")
     if isinstance(error, ConnectionRefusedError):
         return otherwise(f"{doing}: connection refused; is the controller on, and is the port right?")
-    if error.errno == errno.EBADF:
+    if error.errno in (errno.EBADF, errno.ENOTSOCK):  # ENOTSOCK on Windows
         return otherwise(f"{doing}: closed by this program")
     return otherwise(f"{doing}: {error.strerror or error}")

@@ -1,13 +1,14 @@
-"""Undo for commands that were abandoned before the peer answered, and that might still be executed.
+"""Undoing of commands that were abandoned before the peer answered. The peer might still execute such a command.
 
-A hung peer has already received the bytes of a command. It executes the command when it resumes, long after the call
-has failed. If the command has an opposite, as `play` has `stop`, it can then be undone at the first contact, before a
-newer command is sent. A thread tries this for as long as an undo is pending, and uses a new connection for each try. It
-sends the opposite only after the peer has answered a question, so that no bytes of the undo wait at a hung peer.
+If a peer hangs, it might already have received the bytes of a command. It then executes the command when it resumes,
+long after the call has failed. If the command has an opposite, such as `stop` for `play`, the command can be undone at
+the first contact, before a newer command is sent. A thread tries this for as long as an undo is pending, with a new
+connection for each attempt. The thread sends the opposite command only after the peer has answered a question, so that
+no bytes of the undo are queued at a hung peer.
 
-Pending undos belong to the peer rather than to the object that abandoned the command. They are kept for the life of the
-process. When the last user of the peer has closed, its thread ends. The next user starts by undoing the pending
-commands.
+Pending undos belong to the peer, not to the object that has abandoned the command. They are kept until the process
+ends. When the last object that uses the peer is closed, the thread ends. The next object that uses the peer first
+undoes the pending commands.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ from ..threads import ReentrantEvent, started
 #: End of the error of a command that was sent and not answered.
 MAY_STILL = "it might still be executed"
 #: Initial and longest time between two attempts, in s. The time grows if attempts fail at once. An attempt that lasts
-#: longer has met a hung peer; the next attempt should already be running when the peer resumes.
+#: longer shows that the peer hangs. In this case the next attempt starts soon, so that it is already running when the
+#: peer resumes.
 _PAUSE, _LONGEST = 0.1, 2.0
 #: Interval in s at which to check whether the commands were undone.
 _POLL = 0.02
@@ -49,7 +51,7 @@ C = TypeVar("C", bound=_Closeable)
 class Undo(Generic[C]):
     """Functions that undo a command.
 
-    They outlive the object that gave the command, and should not refer to it.
+    The functions exist longer than the object that has sent the command, so they should not refer to this object.
 
     Attributes:
         client: Function that returns a new client of the peer. The client connects when it is used, and is closed after
@@ -63,7 +65,7 @@ class Undo(Generic[C]):
 
 
 class PendingUndos:
-    """Abandoned commands to one peer that must be undone.
+    """Pending undos of one peer: abandoned commands that must be undone.
 
     Args:
         name: Name of the peer, used in messages.
@@ -78,12 +80,15 @@ class PendingUndos:
         self._client: _Closeable | None = None
         self._lock = threading.RLock()  # re-entrant, because a signal handler may abandon another command
         self._closed = ReentrantEvent()
-        #: Users of the peer; None if it was not made by `of`, so that its undos are forgotten when it is closed.
+        #: Objects that use the peer. None if this object was not made by `of`; its undos are then forgotten when it is
+        #: closed.
         self._users: weakref.WeakSet[object] | None = None
 
     @classmethod
     def of(cls, peer: Hashable, name: str, user: object, *parts: Hashable) -> PendingUndos:
-        """Return the object of a peer, which is the same for the life of this process, and start to undo.
+        """Return the object for a peer, and start to undo pending commands.
+
+        There is only one such object for each peer until this process ends.
 
         Args:
             peer: Key of the peer.
@@ -120,11 +125,11 @@ class PendingUndos:
     @property
     def pending(self) -> tuple[str, ...]:
         """Names of the commands that might still be executed, and have not been undone."""
-        return tuple(self._pending)
+        return (*self._pending,)
 
     @contextlib.contextmanager
     def command(self, name: str, timeout: float, undo: Undo[Any] | None = None) -> Iterator[Callable[[], None]]:
-        """Surround a command by a block, and first undo the abandoned commands to this peer.
+        """Context for sending a command. Before the block begins, the abandoned commands to this peer are undone.
 
         Args:
             name: Name of the command. An answered command replaces earlier ones of the same name.
@@ -163,14 +168,14 @@ class PendingUndos:
     def drop(self) -> None:
         """Forget all pending undos, because a newer command has replaced the abandoned ones."""
         self._answered.clear()
-        self._remove(*self._pending)
+        self._remove(*self.pending)  # a copy: another thread might add a command
 
     def close(self, user: object = None) -> None:
         """Stop undoing, and abort a running attempt. Idempotent.
 
         Args:
-            user: Object that closes it. The attempts continue if there are other users, and pending undos are kept for
-                the next user.
+            user: Object that no longer uses the peer. If other objects use it, the attempts continue. Pending undos are
+                kept for the next object.
         """
         with self._lock:
             if self._users is None:
@@ -211,7 +216,7 @@ class PendingUndos:
         """Add a command that was answered, unless a newer one has replaced it."""
         if self._answered.get(name) is undo:
             self._add(name, undo)
-            if self._thread is None and name in self._pending:  # no thread could be started; the current one may wait
+            if self._thread is None and name in self._pending:  # no other thread could be started; this one may wait
                 self._try(name, undo)
 
     def _remove(self, *names: str) -> None:
@@ -240,7 +245,7 @@ class PendingUndos:
                     self._thread = None
                     return
             began = clock.now()
-            for name, undo in tuple(self._pending.items()):
+            for name, undo in list(self._pending.items()):
                 self._try(name, undo)
             if self._pending:
                 if clock.now() - began > _PAUSE:

@@ -1,4 +1,4 @@
-"""Columns of packets as arrays in the byte order and the types of this machine."""
+"""Columns of packets, as arrays in the byte order and the number types of this computer."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Column(NamedTuple):
 def is_continuous(column: Column) -> bool:
     """Whether values between two rows can be interpolated.
 
-    Codes, masks, counters and text cannot.
+    Codes, masks, counters and text cannot be interpolated.
     """
     return column.dtype.kind == "f"
 
@@ -73,7 +73,7 @@ class Columns(Protocol):
 
 
 class ArrayColumns:
-    """Columns that already are arrays."""
+    """Columns that exist as arrays."""
 
     def __init__(self, known: Mapping[str, Column], arrays: Mapping[str, NDArray[Any]]) -> None:
         self.known = known
@@ -85,7 +85,7 @@ class ArrayColumns:
 
 
 def columns_of(states: Sequence[State]) -> ArrayColumns:
-    """Return the columns of decoded packets. It is for packets with text, whose sizes vary."""
+    """Return the columns of decoded packets. Use this for packets with text, which have different sizes."""
     known = _common([state._layout for state in states])
     arrays = {}
     for name, column in known.items():
@@ -147,14 +147,14 @@ class PacketColumns:
         return made
 
     def by_layout(self, begin: int, end: int) -> list[tuple[PacketColumns, int, int]]:
-        """Return for each layout its columns, its first row, and the row after its last row."""
+        """Return (columns, first row, row after the last row) for each layout."""
         return [
             (PacketColumns([part.sliced(first, last)]), begin + at, begin + at + last - first)
             for part, first, last, at in self._pieces(begin, end)
         ]
 
     def _pieces(self, begin: int, end: int) -> Iterator[tuple[Part, int, int, int]]:
-        """Yield each part with some of the rows, its first packet, the packet after its last one, and its first row."""
+        """Yield (part, first packet, packet after the last one, first row) for each part that has some of the rows."""
         for part, stop in zip(self._parts, self._ends, strict=True):
             start = stop - len(part)
             first, last = max(begin, start), min(end, stop)
@@ -180,8 +180,8 @@ def _allocated(columns: Mapping[str, Column], rows: int) -> dict[str, NDArray[An
 def _cells(part: Part, places: Sequence[Place]) -> _Raw:
     """Return the reader for packets that consist only of 8-byte numbers, in the byte order of this machine.
 
-    All numbers from the first to the last requested one are swapped at once. Numpy would take longer to swap each field
-    separately, for example six numbers of each packet.
+    The bytes of all numbers, from the first to the last requested number, are swapped at once. Numpy would take longer
+    to swap each field separately, for example six numbers of each packet.
     """
     begin = min(place.offset for place in places)
     end = max(place.offset + place.stride * ((place.count or 1) - 1) + place.width for place in places)
@@ -219,13 +219,13 @@ def _as_stored(place: Place, column: NDArray[Any]) -> NDArray[Any]:
 def _read_in_place(place: Place, column: NDArray[Any]) -> None:
     """Convert a column of numbers from the wire, in place, to the values that users get."""
     if place.shape is Mask64:
-        # A mask may be coded as an IEEE double of the same value; see `Mask64`.
+        # A mask might be coded as an IEEE double of the same value; see `Mask64`.
         if column.max() >> np.uint64(48):
             odd = np.flatnonzero(column >> np.uint64(48))
             column[odd] = [Mask64.read(each) for each in column[odd].tolist()]
     elif _is_code_in_float(place, column):
         numbers = column.view(NATIVE_DOUBLE)
-        # A double that is not a whole number of 32 bits becomes a different number here.
+        # A double that is not a 32-bit integer becomes a different number here.
         with np.errstate(invalid="ignore"):
             codes = numbers.astype(np.int32)
         is_none = codes != numbers

@@ -1,4 +1,4 @@
-"""The file format of recordings: records of raw bytes with their stamps, in a file that survives a crash.
+"""File format of recordings: records of raw bytes with their stamps. A crash does not damage earlier records.
 
 The file is append-only, big-endian::
 
@@ -52,7 +52,7 @@ class Kind(enum.IntEnum):
 
 
 class Record(NamedTuple):
-    """One record of a recording."""
+    """Record of a recording."""
 
     kind: Kind
     channel: int
@@ -75,7 +75,7 @@ def described(path: str | os.PathLike[str], channel: int, payload: bytes, key: s
     try:
         info = json.loads(payload)
     except (ValueError, RecursionError) as error:
-        raise BadRecording(f"{path}: channel {channel} is not described in JSON") from error
+        raise BadRecording(f"{path}: the description of channel {channel} is not valid JSON") from error
     if not isinstance(info, dict) or not isinstance(info.get(key), str):
         raise BadRecording(f"{path}: channel {channel} has no {key}")
     return info
@@ -90,7 +90,7 @@ def unseen(part: float) -> None:
 
 
 def new_file(path: Path, *, buffering: int = -1) -> IO[bytes]:
-    """Create a file and open it for writing; `buffering` as for `open`.
+    """Create a file and open it for writing; see `open` for `buffering`.
 
     Raises:
         BadRecording: If the file exists, or cannot be created.
@@ -185,7 +185,7 @@ class RecordingWriter(StrictAttributes):
             BadRecording: If the end record cannot be written.
         """
         with self._lock:
-            if self._is_closing:  # possibly by the call that a signal handler has interrupted
+            if self._is_closing:  # a signal handler might have interrupted the call that closes it
                 return
             self._is_closing = True
             try:
@@ -199,7 +199,8 @@ class RecordingWriter(StrictAttributes):
             try:
                 written = self._file.write(data)
                 if written != len(data):
-                    # A full disk might accept half a record. Readers stop before it, so nothing may follow it.
+                    # A full disk might accept only a part of a record. Readers stop before this part, so nothing may be
+                    # written after it.
                     self.failure = f"{self.path}: only {written} of {len(data)} bytes were written; is the disk full?"
             except ValueError:  # a signal handler has just closed it
                 raise Closed(f"{self.path} is closed") from None
@@ -214,7 +215,7 @@ def _reason(error: Exception) -> str:
 
 
 class RecordingFile:
-    """A recording for reading. The whole file is read once to find its channels.
+    """Recording that is opened for reading. The whole file is read once to find its channels.
 
     Args:
         path: Path of the file.
@@ -224,7 +225,7 @@ class RecordingFile:
         path: Path of the file.
         channels: Number of each channel -> its description by the recorder.
         is_complete: Whether the recording was closed properly.
-        left_out: Number of unfinished or damaged bytes at its end.
+        left_out: Number of unfinished or damaged bytes at the end of the file.
 
     Raises:
         BadRecording: If there is no such file, or it is not a recording.
@@ -299,4 +300,4 @@ class RecordingFile:
             if info["name"] == name:
                 return number
         there = ", ".join(info["name"] for info in self.channels.values()) or "nothing"
-        raise BadRecording(f"{self.path} contains no {name}; it contains {there}")
+        raise BadRecording(f"{self.path} has no channel {name!r}; its channels are {there}")

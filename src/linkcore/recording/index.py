@@ -1,13 +1,13 @@
-"""The offsets of the records of a recording, found without a Python object for each record.
+"""Index of a recording: the offsets of its records, found without a Python object for each record.
 
-Recordings contain long runs of records of one size. If the next records declare the same size as the current one, they
-are checked together. Damage is skipped, and reading continues with the next record that has a correct checksum.
+Recordings contain long runs of records of one size. If the next records declare the same size as the current record,
+they are checked together. Damage is skipped, and reading continues with the next record that has a correct checksum.
 
 The checksums of many records of one size are checked at once, on several processors. A call of `zlib.crc32` for each
 record would take as long as the checksum itself. CRC-32 is linear, so the checksum of many consecutive records can be
-computed from the checksums that are written in them. One call over all their bytes then checks all of them. crc(A + B)
-is crc(A), advanced by the length of B, xor crc(B). Advancing a CRC by zero bytes is a multiplication by a matrix over
-GF(2). See zlib's `crc32_combine`. `benchmarks/loading.py` measures the gain.
+computed from the checksums that are written in them. One call of `zlib.crc32` over all bytes of the records then checks
+all of them. crc(A + B) is crc(A), advanced by the length of B, xor crc(B). Advancing a CRC by zero bytes is a
+multiplication by a matrix over GF(2). See zlib's `crc32_combine`. `benchmarks/loading.py` measures the gain.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from .file import FRAME, HEAD, LARGEST, MAGIC, Kind, Progress, unseen
 _ALL = 0xFFFFFFFF
 #: Number of records that one checksum covers: some hundred kB, which fit into the cache of a processor.
 _BATCH = 256
-#: Number of batches for which a thread is worth its time: some MB.
+#: Minimum number of batches for which starting a thread saves time: some MB.
 _SHARE = 16
 
 Crcs = NDArray[np.uint32]
 
 
 def intact(data: Any, start: int, stride: int, count: int) -> NDArray[np.bool_]:
-    """Return for each of several records of the same size whether its checksum is correct.
+    """Return whether the checksum of each record is correct, for several records of the same size.
 
     Args:
         data: Buffer with the bytes of the records.
@@ -94,7 +94,7 @@ def _columns(size: int) -> Crcs:
 
 
 def _filled(columns: Crcs) -> Crcs:
-    """Return the same for each value of each byte of a CRC, shape (4, 256), lowest byte first."""
+    """Return the advanced CRC for each value of each byte of a CRC, shape (4, 256), lowest byte first."""
     tables = np.zeros((4, 256), np.uint32)
     for bit in range(8):
         tables[:, 1 << bit : 2 << bit] = tables[:, : 1 << bit] ^ columns[bit::8, None]
@@ -146,7 +146,7 @@ _MOST = 1 << 16
 _SEARCHED = 1 << 20
 #: Budget of bytes for the checksums of supposed records that are not records: a constant, plus a number for each byte
 #: of the file before them. A supposed record that exceeds the budget is skipped. Otherwise the time for a file that
-#: consists of lengths would grow with the square of its size.
+#: consists only of such lengths would grow with the square of the file's size.
 _TRIED, _TRIED_EACH = 1 << 20, 16
 
 Numbers = NDArray[np.int64]

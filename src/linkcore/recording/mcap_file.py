@@ -1,8 +1,8 @@
 """MCAP files with ROS 2 messages by topic, which Foxglove, `ros2 bag` and PlotJuggler can open.
 
-A topic has the definition of its messages, and a message in CDR for each row of a table. Most messages differ only in a
-few numbers. The names of joints and frames, and the lengths, are always the same. Such messages have the same size, and
-each number has a fixed offset, so many messages are made as one array.
+A topic consists of the definition of its messages, and of one message in CDR for each row of a table. Most messages
+differ only in a few numbers. The names of joints and frames, and the lengths, are always the same. Such messages have
+the same size, and each number has a fixed offset, so many messages are made as one array.
 
 The coding is CDR (OMG, Common Data Representation, version 1, little-endian):
 
@@ -67,7 +67,7 @@ class Message:
         return self
 
     def numbers(self, values: NDArray[Any]) -> Message:
-        """Add a number, shape (n,), or several numbers, shape (n, k), to each message, in the type of the array."""
+        """Add one number per message, shape (n,), or several, shape (n, k), with the number type of the array."""
         values = np.asarray(values)
         self._align(values.dtype.itemsize)
         self._columns.append((self._size, values))
@@ -110,12 +110,12 @@ _NAMES |= {"f4": "float32", "i1": "int8", "u1": "uint8", "b1": "bool"}
 
 
 def definition(text: str, *others: tuple[str, str]) -> str:
-    """Return a definition and the definitions of its types, in the format of ROS."""
+    """Return the definition of a message followed by the definitions of its types, in the format of ROS."""
     return "\n".join([text, *(f"{'=' * 80}\nMSG: {name}\n{each}" for name, each in others)])
 
 
 class Topic(NamedTuple):
-    """Messages of one topic.
+    """Topic with its messages.
 
     Attributes:
         name: Name of the topic.
@@ -154,7 +154,8 @@ def table_topic(name: str, table: Table, package: str) -> Topic:
     return Topic(f"/{name}", f"{package}/msg/{name.capitalize()}", text, table.wall, message.encoded())
 
 
-#: Length in s of the sections of a recording whose messages are made together, because all might not fit into memory.
+#: Length in s of the sections of a recording. The messages of one section are made together, because all messages might
+#: not fit into memory.
 _STRETCH = 10.0
 
 
@@ -216,7 +217,7 @@ class McapFile:
 def write_mcap(path: Path, tables: Mapping[str, Table], about: Mapping[str, str], progress: Progress) -> None:
     """Write a topic for each table, with a message for each row.
 
-    Its type has the fields of the table.
+    The type of the messages has the fields of the table.
     """
 
     def topics(start: float, stop: float) -> list[Topic]:

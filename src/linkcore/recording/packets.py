@@ -1,9 +1,9 @@
-"""The packets of a recorded connection, found without a Python object for each packet.
+"""Packets of a recorded connection, found without a Python object for each packet.
 
-A controller sends packets of one size, and most of them are recorded one by one. A record might be as long as the
-previous packet, or several times as long, and have the same header in the right places. Then it contains this number of
-packets of the same layout, and only their offsets in the file are kept. All other bytes go through the framer and the
-decoder of a stream. So the result does not depend on the division into records; a property test checks this.
+A controller sends packets of one size, and most of them are recorded one by one. A record consists of packets of the
+same layout if its length is that of one or several packets like the previous packet, and if each of them begins with
+the same header. Then only the offsets of these packets in the file are kept. All other bytes are passed to the framer
+and the decoder of a stream. So the result does not depend on the division into records; a property test checks this.
 """
 
 from __future__ import annotations
@@ -233,11 +233,11 @@ class _Reader:
         self.skipped += framer.skipped + len(framer.rest)
 
     def _are_packets(self, records: Numbers, header: bytes, size: int) -> NDArray[np.bool_]:
-        """Return for each record whether it consists of packets of this size and header."""
+        """Return whether each record consists of packets with this size and header."""
         sizes = self._index.size[records]
         good: NDArray[np.bool_] = (sizes % size == 0) & (sizes > 0)
         places, owners = self._packets(records[good], size)
-        # They are compared as text of a fixed width, because numpy can do this for all packets at once.
+        # The headers are compared as text of a fixed width, because numpy can do this for all packets at once.
         width = len(header)
         every = np.ndarray((len(self._index.data) - width + 1,), f"S{width}", self._index.data, 0, (1,))
         good[np.searchsorted(records, owners[every[places] != header])] = False

@@ -16,7 +16,7 @@ from .file import Kind, Record, RecordingFile
 
 
 class ReplayTimeline:
-    """Time line that all channels of a replay share; it starts when the first channel opens.
+    """Timeline that all channels of a replay share. It starts when the first channel is opened.
 
     Args:
         recording: Recording to replay.
@@ -49,7 +49,7 @@ class ReplayTimeline:
 
 
 class ReplayTransport:
-    """One channel of a recording as a source of bytes.
+    """Transport that replays one channel of a recording.
 
     Chunks have their recorded sizes, and arrive at their recorded times. Their stamps have the recorded wall time, and
     the current monotonic time. Connections are lost and made again at the recorded times.
@@ -102,7 +102,7 @@ class ReplayTransport:
             if record.kind is Kind.BYTES or state == "lost":
                 self._wait(record.stamp)
                 if self._closed.is_set():
-                    raise ConnectionLost(f"{self.name}: closed")
+                    raise ConnectionLost(f"{self.name} was closed by this program")
             self._next = None
             if state == "lost":
                 raise ConnectionLost(f"{self.name}: connection lost, as recorded: {error}")
@@ -133,7 +133,7 @@ class ReplayTransport:
         return delay <= most
 
     def send(self, data: bytes, timeout: float) -> None:
-        """Raise, because a recording has no peer.
+        """Raise an error, because a recording has no peer.
 
         Raises:
             BadValue: If called.
@@ -141,7 +141,7 @@ class ReplayTransport:
         raise BadValue(f"{self.name} is a recording; nothing can be sent to it")
 
     def send_some(self, data: bytes | memoryview) -> int:
-        """Raise; see `send`."""
+        """Raise an error; see `send`."""
         raise BadValue(f"{self.name} is a recording; nothing can be sent to it")
 
     def wait_for_room(self, timeout: float) -> bool:
@@ -149,9 +149,9 @@ class ReplayTransport:
         return False
 
     def abort(self) -> None:
-        """Wake threads that wait."""
+        """Wake the threads that are waiting."""
         self._closed.set()
 
     def close(self) -> None:
-        """Do the same as `abort`, because there are no bytes left to send."""
+        """Do the same as `abort`, because no sent bytes have to be delivered."""
         self.abort()

@@ -1,4 +1,4 @@
-"""The recorder, a subscriber that writes received bytes and connection events to a file."""
+"""Recorder: a subscriber that writes received bytes and connection events to a file."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class Recorder(StrictAttributes, Closing):
     """Recorder of streams into one file, from now until it is closed; a context manager.
 
     The reader of a stream only puts bytes into a queue, and the recorder writes the file in its own threads. Nothing is
-    dropped: if the disk is 1024 chunks behind, the stream waits for it. If the disk fails, the streams continue, and
-    `close` raises an error.
+    dropped: if 1024 chunks of bytes wait to be written, the stream waits for the disk. If the disk fails, the streams
+    continue, and `close` raises an error.
 
     Args:
         path: Path of a file that does not exist yet.
@@ -82,7 +82,7 @@ class Recorder(StrictAttributes, Closing):
         """Write all queued bytes, and close the file, within `timeout` seconds; idempotent.
 
         Raises:
-            LinkTimeout: If the disk is too slow. The file is then like a file after a crash.
+            LinkTimeout: If the disk is too slow. The file then ends like the file of a program that has crashed.
             BadRecording: If the file could not be written. It contains the records before the error.
         """
         until = clock.now() + timeout

@@ -1,4 +1,4 @@
-"""`Table`: recorded packets as columns, with their arrival times."""
+"""Class `Table`: recorded packets as columns, with their arrival times."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Table(StrictAttributes):
     """Columns of one kind of packet: ``table["q_actual"]`` is an array of shape (n, 6).
 
     Numbers are in the byte order of this machine, and floats are float64. A column is made when it is first used, and
-    kept. Arrays are read-only. Codes are numbers; `fields` has their enumeration.
+    then stored. Arrays are read-only. Codes are numbers; `fields` has their enumeration.
 
     Args:
         name: Name, used in messages.
@@ -107,10 +107,10 @@ class Table(StrictAttributes):
 
     @cached_property
     def gaps(self) -> Sequence[Gap]:
-        """Gaps of missing rows by the controller's own clock, which continues while packets are lost.
+        """Gaps of missing rows, found with the controller's own clock, which continues while packets are lost.
 
-        Gaps between two connections are not included; see `begins`. It is empty if no column is such a clock: for RTDE
-        without ``timestamp``, for robot states of CB2, and for resampled tables.
+        Gaps between two connections are not included; see `begins`. The result is empty if no column contains such a
+        clock: for RTDE without ``timestamp``, for robot states of CB2, and for resampled tables.
         """
         if self._clock is None or len(self) < 2:
             return ()
@@ -119,7 +119,7 @@ class Table(StrictAttributes):
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Texts about recorded data that could not be read, and about missing packets."""
+        """Descriptions of recorded data that could not be read, and of missing packets."""
         gaps = self.gaps
         if not gaps:
             return self._missing
@@ -200,7 +200,7 @@ class Table(StrictAttributes):
             return f"{self.name} has {name!r} only in some of its parts, because the firmware changed; use table.parts"
         near = difflib.get_close_matches(str(name), known, n=3)
         hint = f"; did you mean {' or '.join(near)}?" if near else ""
-        return f"{self.name} has no field {name!r}{hint}; it has {', '.join(known) or 'none'}"
+        return f"{self.name} has no field {name!r}{hint}; its fields are: {', '.join(known) or 'none'}"
 
     # -- parts -------------------------------------------------------------------------------------
 
@@ -287,13 +287,13 @@ class Table(StrictAttributes):
         return Table(f"{self.name} at {rate:g} Hz", ArrayColumns(self.fields, arrays), time, wall)
 
     def to_frame(self, *names: str, library: str | None = None) -> Any:
-        """Return a data frame of all columns, or of some.
+        """Return a data frame of all columns, or of the named columns.
 
         A vector is split into ``q_actual_0`` to ``q_actual_5``.
 
         Args:
             names: Names of fields; without names, all fields.
-            library: "pandas" or "polars"; None for the first one that is installed.
+            library: "pandas" or "polars"; None for the first of them that is installed.
 
         Returns:
             A `pandas.DataFrame` with `time` as its index ``t``, or a `polars.DataFrame` with a column ``t``. Both have

@@ -1,6 +1,6 @@
 """Export of tables to CSV, Parquet, MATLAB, HDF5 and MCAP files.
 
-The suffix of the file determines the format. A file appears either complete or not at all.
+The suffix of the file determines the format. An export either writes the complete file, or leaves no file.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ def export(
 ) -> Path:
     """Write tables to a file.
 
-    When it is complete, it replaces an existing file of the same name. The file is first written under another name in
-    the same directory, and then renamed.
+    The complete file replaces an existing file with the same name. The file is first written under another name in the
+    same directory, and then renamed.
 
     Args:
         path: Path of the file.
@@ -91,7 +91,7 @@ def chosen(
         if table is None:
             first_table = next(iter(tables.values()), None)
             if first_table is None:
-                raise BadValue(f"there is no field {field!r}: nothing was recorded")
+                raise BadValue(f"there is no field {field!r}, because nothing was recorded")
             first_table.arrays(field)  # raises; the message suggests similar names
         else:
             found.setdefault(table, []).append(field)
@@ -114,7 +114,7 @@ def _only(path: Path, tables: Mapping[str, Table], suffix: str) -> Table:
     if len(tables) != 1:
         there = ", ".join(tables) or "none"
         raise BadValue(
-            f"a {suffix} file can hold only one table, and these are {there}; select fields of one table, or use .h5 "
+            f"a {suffix} file can hold only one table, but there are {there}; select fields of one table, or use .h5 "
             "or .mat"
         )
     return next(iter(tables.values()))
@@ -217,7 +217,7 @@ class TableFormat(NamedTuple):
 
     Attributes:
         write: Function that writes such a file.
-        programs: Programs that read it, for help texts.
+        programs: Programs that can read such a file, for help texts.
         holds_one: Whether a file can hold only one table.
         is_live: Whether a file can also be written while the packets arrive.
     """

@@ -1,9 +1,9 @@
-"""Simulated computers, and TCP between them: the behaviour of kernels and cables.
+"""Simulated computers and TCP connections between them, including the behaviour of operating systems and cables.
 
 The order of data is kept within a connection, but not between two connections. Sent data are kept until they are
-acknowledged. Lost data are sent again, after 0.2 s at first and after twice the time on each further attempt (RFC 6298;
-0.2 s is the minimum of Linux). So data of an abandoned command are still delivered when the network works again, unless
-the connection was reset, as on a real network.
+acknowledged. Lost data are sent again. The first wait is 0.2 s, the minimum of Linux, and each further wait is twice as
+long as the previous one (RFC 6298). So data of an abandoned command are still delivered when the network works again,
+unless the connection was reset, as on a real network.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _CONNECT = 127.0
 
 @dataclass
 class Route:
-    """One direction between two computers.
+    """Network path in one direction between two computers.
 
     Attributes:
         latency: Time that a packet takes, in s.
@@ -49,7 +49,7 @@ _PIDS = itertools.count(1 << 23)
 
 
 class Watcher(Protocol):
-    """The socket of a connection or a listener, which is notified of events."""
+    """Socket of a connection or a listener, which is notified of events."""
 
     def changed(self) -> None:
         """Check again whether there is something to read, or room to write."""
@@ -57,17 +57,18 @@ class Watcher(Protocol):
 
 @dataclass(eq=False)
 class Computer:
-    """A computer with a kernel and one process.
+    """Simulated computer with a kernel and one process.
 
     Suspending or killing the process does not affect the kernel.
 
     Attributes:
         name, address: Name and address of the computer.
-        rate: Seconds of its clock per second of the simulation; 1.0001 is 100 ppm fast.
+        rate: Seconds by which the clock advances per second of the simulation; with 1.0001, the clock is 100 ppm too
+            fast.
         offset: Time of its clock at the start of the simulation, in s.
         jumped: Adjustment of its calendar clock, in s; only `time.time` shows it.
         starts_threads: Whether its process can start a thread.
-        is_running: Whether its process is not suspended.
+        is_running: Whether the process is running, so that it is not suspended.
         is_on: Whether it has power. Without power, it neither receives nor sends packets, and has lost its connections.
         is_in_c: Whether a function in C holds the interpreter's lock of its program.
         held: Tasks that could run if its process were running.
@@ -92,19 +93,19 @@ class Computer:
     next_port: int = 32768
 
     def suspend(self) -> None:
-        """Stop its process, as `SIGSTOP` does; the kernel continues to acknowledge data."""
+        """Suspend the process, as `SIGSTOP` does. The kernel continues to acknowledge data."""
         self.scheduler.suspend(self)
 
     def resume(self) -> None:
-        """Let its process continue."""
+        """Let the suspended process continue."""
         self.scheduler.resume(self)
 
     def hold(self) -> None:
-        """Let a function in C hold the interpreter's lock until `release`.
+        """Simulate a function in C that holds the interpreter lock until `release`.
 
-        No thread of its program executes Python in the meantime. In contrast to a suspended process, a waiting `recv`
-        completes in the kernel. It returns the first data, although later, and the next `recv` returns data that
-        arrived after that.
+        No thread of the program executes Python in the meantime. In contrast to a suspended process, a waiting `recv`
+        completes in the kernel: it returns the first data that arrived, although later. The next `recv` returns the
+        data that arrived after that.
         """
         self.is_in_c = True
         self.suspend()
@@ -115,7 +116,7 @@ class Computer:
         self.resume()
 
     def kill(self) -> None:
-        """End its process; the kernel closes its sockets according to their options."""
+        """End the process. The kernel closes the sockets of the process according to their options."""
         self.scheduler.suspend(self)
         for listener in list(self.listeners.values()):
             listener.close()
@@ -123,7 +124,7 @@ class Computer:
             end.close()
 
     def power_off(self) -> None:
-        """Remove its power: it neither receives nor sends packets, and loses its connections."""
+        """Switch the computer off. It then neither receives nor sends packets, and loses its connections."""
         self.is_on = False
         self.scheduler.suspend(self)
         self.listeners.clear()
@@ -131,7 +132,7 @@ class Computer:
             end.vanish()
 
     def power_on(self) -> None:
-        """Restore its power, without a running process."""
+        """Switch the computer on again. No process is running then."""
         self.is_on = True
 
     def port(self) -> int:
@@ -144,7 +145,7 @@ class Computer:
 
 @dataclass(eq=False)
 class Listener:
-    """A port that accepts connections."""
+    """Port that accepts connections."""
 
     computer: Computer
     port: int
@@ -153,7 +154,7 @@ class Listener:
     accepted: deque[End] = field(default_factory=deque)
 
     def close(self) -> None:
-        """Refuse new connections, and reset those that the program has not accepted."""
+        """Refuse new connections, and reset the connections that the program has not accepted."""
         self.computer.listeners.pop(self.port, None)
         for end in self.accepted:
             end.reset()
@@ -161,7 +162,7 @@ class Listener:
 
 
 class End:
-    """One end of a connection, as the kernel of its computer stores it.
+    """One end of a connection, as the operating system of a computer stores it.
 
     Attributes:
         received: Bytes that the program has not read.
@@ -172,7 +173,7 @@ class End:
         linger: SO_LINGER, in s; None if it is off.
         user_timeout: Time without an acknowledgement after which the connection is aborted, in s; 0 for no limit.
         connecting_to: Target computer during the handshake.
-        refuse: Function that ends the handshake as refused, like a reset.
+        refuse: Function that ends the handshake with a refusal, as after a reset.
     """
 
     def __init__(self, network: Network, computer: Computer, port: int) -> None:
@@ -382,7 +383,7 @@ class End:
 
 
 class Network:
-    """Computers, and the paths between them.
+    """Simulated network: computers, and the paths between them.
 
     Args:
         scheduler: Scheduler that provides the time.
@@ -411,7 +412,7 @@ class Network:
         return None
 
     def route(self, source: Computer, target: Computer) -> Route:
-        """Return one direction between two computers, which can be read or changed."""
+        """Return the route from one computer to another. Its attributes can be read and changed."""
         key = (source.name, target.name)
         if key not in self._routes:
             within = Route(latency=1e-5, jitter=1e-5, bandwidth=1e9)
@@ -419,7 +420,7 @@ class Network:
         return self._routes[key]
 
     def carries(self, source: Computer, target: Computer) -> bool:
-        """Whether a packet that would arrive now does arrive."""
+        """Whether a packet from `source` that reaches `target` now is received."""
         return source.is_on and not self.route(source, target).is_silent
 
     def silence(self, source: Computer, target: Computer) -> None:
@@ -450,7 +451,7 @@ class Network:
     def connect(self, end: End, host: str, port: int, finished: Callable[[int], object]) -> None:
         """Make a connection, and call `finished` with 0 or an error number.
 
-        If `end` is closed before, `finished` is not called.
+        If `end` is closed before that, `finished` is not called.
         """
         target = self.find(host, end.computer)
         scheduler = self.scheduler

@@ -1,10 +1,10 @@
-"""Thread switches between two lines of a program, without a lock, queue, socket or clock.
+"""Simulated thread switches between two lines of a program, where no lock, queue, socket or clock is used.
 
 CPython checks whether another thread should run at the beginning of a function, after calls, and when a loop jumps
-back. Here, a thread yields before a line, in functions that the seed selects. These functions are few, but threads
-yield in them often. So a thread that reads a value and then sets it is interrupted in between by another thread that
-does the same. Occasionally, the thread does not run for some milliseconds, as on a busy computer. This is long enough
-for a robot to answer the other thread.
+back. In the simulation, a thread can yield before a line, in functions that the seed selects. Only a few functions are
+selected, but threads yield in them often. So a thread that reads a value and then sets it is interrupted in between by
+another thread that does the same. Occasionally, the interrupted thread does not run for some milliseconds, as on a busy
+computer. In this time, a robot can answer the other thread.
 
 Lines are counted separately for each function. Only statements that every version of Python traces in the same way
 count, and only their first lines. Code that runs only once in a process is not counted: imports, and functions whose
@@ -24,15 +24,16 @@ from types import CodeType, FrameType, ModuleType
 
 from .scheduler import Scheduler, Tracer
 
-#: Bounds of the fraction of functions in which threads yield; the seed selects it.
+#: Minimum and maximum of the fraction of functions in which threads yield. The seed selects the fraction.
 _SHARE = (0.02, 0.5)
-#: Bounds of the mean number of lines between two yields in one function; selected for each function.
+#: Minimum and maximum of the mean number of lines between two yields in one function. The mean is selected for each
+#: function.
 _LINES = (1.0, 50.0)
-#: Probability that a yielding thread pauses; bounds of the pause, in s; maximum sum of all pauses, in s.
+#: Probability that a yielding thread pauses; minimum and maximum of the pause, in s; maximum sum of all pauses, in s.
 _HELD, _HOLD, _ALL_HOLDS = 0.3, (1e-5, 2e-2), 0.3
-#: Threads do not yield in functions of these modules or in functions that they call. The modules hold a lock of the
-#: interpreter, or run between two steps of the scheduler. The same applies to modules that have held a lock since their
-#: import, because that lock is not a simulated one.
+#: Threads do not yield in functions of these modules or in functions that they call. These modules hold a lock of the
+#: interpreter, or run between two steps of the scheduler. Threads do not yield in modules that have a lock since their
+#: import either, because this lock is not simulated.
 _WHOLE = ("linkcore.simulated", "importlib", "logging", "functools", "weakref", "_pytest")
 _LOCKS = (_thread.LockType, _thread.RLock)
 #: Functions of these modules read bytes, versions and the clock. Threads share nothing there except results of earlier
@@ -47,7 +48,7 @@ _TRACED = (ast.Assign, ast.AugAssign, ast.AnnAssign, ast.Expr, ast.Return, ast.R
 
 
 class Preemption:
-    """Makes threads yield between lines.
+    """Selector of the lines before which threads yield.
 
     Args:
         scheduler: Scheduler of the tasks.
@@ -63,8 +64,8 @@ class Preemption:
         low, high = _SHARE
         self._share = low * (high / low) ** scheduler.random.random()
         self._left = _ALL_HOLDS
-        # Id of a code object -> the code, and its trace function; None if no thread yields there. Keeping the code
-        # keeps its id.
+        # Id of a code object -> the code object, and its trace function; None if no thread yields in it. The code
+        # object is stored so that its id stays valid.
         self._known: dict[int, tuple[CodeType, Tracer | None]] = {}
         self._by_name: dict[str, Tracer | None] = {}
 
@@ -90,7 +91,7 @@ class Preemption:
         return self._by_name[key]
 
     def _lines(self, chance: random.Random) -> Tracer:
-        """Return a trace function that yields occasionally, for functions of one name in one module."""
+        """Return a trace function that occasionally switches to another thread, for one name in one module."""
         low, high = _LINES
         mean = low * (high / low) ** chance.random()
         left = [1 + int(chance.expovariate(1.0 / mean))]

@@ -1,7 +1,7 @@
-"""Locks, semaphores, simple queues and threads of the standard library, on a scheduler.
+"""Replacements for locks, semaphores, simple queues and threads of the standard library, which use a scheduler.
 
-Condition, Event, Barrier, Queue and futures are Python code that uses these classes, so they need no counterpart here.
-A thread outside of the simulation, such as pytest's own, can use these objects too; it waits in real time.
+Condition, Event, Barrier, Queue and futures are Python code that uses these classes, so they need no replacement. A
+thread outside of the simulation, such as pytest's own, can use these objects too; it waits in real time.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _real_monotonic = time.monotonic
 
 
 class _Waited:
-    """An object that tasks wait for."""
+    """Object for which tasks can wait."""
 
     def __init__(self) -> None:
         self._waiters: deque[Task] = deque()
@@ -43,7 +43,7 @@ class _Waited:
 
 
 class _Held(_Waited):
-    """An object that a `with` block can hold."""
+    """Lock that a `with` block can hold."""
 
     _take: Callable[[], bool]
     release: Callable[[], None]
@@ -74,7 +74,7 @@ class _Held(_Waited):
 
 
 class Lock(_Held):
-    """`threading.Lock`."""
+    """Replacement for `threading.Lock`."""
 
     def __init__(self) -> None:
         self._is_locked = False
@@ -97,7 +97,7 @@ class Lock(_Held):
 
 
 class RLock(_Held):
-    """`threading.RLock`, with the methods that `threading.Condition` needs."""
+    """Replacement for `threading.RLock`, with the methods that `threading.Condition` needs."""
 
     def __init__(self) -> None:
         self._owner = 0
@@ -147,7 +147,7 @@ class RLock(_Held):
 
 
 class Semaphore(threading.Semaphore):
-    """`threading.Semaphore`; a release without a waiting task is not a step.
+    """Replacement for `threading.Semaphore`. A release without a waiting task is not a step.
 
     The threads of `concurrent.futures` release a semaphore for each call. Since Python 3.12, they do so only when they
     are idle.
@@ -173,7 +173,7 @@ def _from_outside(take: Any, blocking: bool, timeout: float) -> bool:
 
 
 class SimpleQueue(_Waited):
-    """`queue.SimpleQueue`; each call is a step.
+    """Replacement for `queue.SimpleQueue`. Each call is a step.
 
     The first check that finds the queue empty is not a step, because the threads of `concurrent.futures` do such checks
     since Python 3.12.
@@ -250,7 +250,7 @@ def numbering(init: Callable[..., None]) -> Callable[..., None]:
 
 
 def hash_(it: Any) -> int:
-    """`__hash__` that does not depend on the address.
+    """Replacement for `__hash__`, which does not depend on the address of the object.
 
     Pools join threads, and asyncio cancels tasks, in the order of a set.
     """
@@ -258,7 +258,7 @@ def hash_(it: Any) -> int:
 
 
 def start(thread: threading.Thread) -> None:
-    """`Thread.start`: the thread joins the simulation if a simulated thread starts it."""
+    """Replacement for `Thread.start`. If a simulated thread starts the thread, it takes part in the simulation."""
     scheduler = current()
     if scheduler is None:
         _start(thread)
@@ -306,7 +306,7 @@ def _set_done(thread: threading.Thread) -> None:
 
 
 def join(thread: threading.Thread, timeout: float | None = None) -> None:
-    """`Thread.join`."""
+    """Replacement for `Thread.join`."""
     task, scheduler = _task(thread), current()
     if task is None:
         _join(thread, timeout)
@@ -319,7 +319,7 @@ def join(thread: threading.Thread, timeout: float | None = None) -> None:
 
 
 def is_alive(thread: threading.Thread) -> bool:
-    """`Thread.is_alive`."""
+    """Replacement for `Thread.is_alive`."""
     task = _task(thread)
     return _is_alive(thread) if task is None else not task.is_over
 

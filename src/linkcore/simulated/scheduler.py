@@ -1,9 +1,9 @@
-"""Run real threads one at a time on a simulated clock, in an order that a seed decides.
+"""Scheduler that runs real threads one at a time on a simulated clock. A seed determines their order.
 
-A thread that takes part is a `Task`. It runs until it waits, or until it passes a lock, a queue or a socket at a moment
-that the seed has selected. It then hands over to the next task. When all tasks wait, the clock jumps to the earliest
-deadline. So the same program with the same seed takes the same steps, however fast or busy the computer is. An hour in
-which nothing happens costs no time.
+Each thread of the simulation is a `Task`. A task runs until it waits, or until it uses a lock, a queue or a socket at a
+moment that the seed has selected. Then the next task runs. When all tasks wait, the clock jumps to the earliest
+deadline. So the same program with the same seed takes the same steps, even on a slower or busier computer. A simulated
+hour in which nothing happens takes no real time.
 
 Threads switch between two lines of a program only on request (`preemption`). They never switch between two steps of one
 line, or within a function in C.
@@ -27,11 +27,11 @@ from typing import Any, Protocol
 #: Trace function for `sys.settrace`.
 Tracer = Callable[[FrameType, str, Any], Any]
 
-#: Simulated time that each step costs, in s. Without it, a program that reads the clock until a time is reached would
-#: not end.
+#: Simulated time that each step costs, in s. Without this cost, a program that reads the clock in a loop until a time
+#: is reached would not end.
 STEP = 1e-7
-#: Bounds of the mean number of steps after which a running task must yield to another one. The seed selects the mean
-#: once per run. So some runs switch threads at nearly every step, and others hardly ever.
+#: Minimum and maximum of the mean number of steps after which a running task must yield to another task. The seed
+#: selects the mean once per run. So threads are switched at nearly every step in some runs, and rarely in other runs.
 SWITCHES = (2.0, 500.0)
 #: Real time, in s, in which a thread must end after the simulation, and maximum number of times that it may catch
 #: `Ended`.
@@ -43,15 +43,15 @@ _NEVER = float("inf")
 
 
 class Deadlock(Exception):
-    """Every thread waits for another one, without a deadline. The message shows all stacks."""
+    """Error: every thread waits for another thread, without a deadline. The message shows all stacks."""
 
 
 class TimeLimit(Exception):
-    """The simulated time has exceeded its limit."""
+    """Error: the simulated time has exceeded its limit."""
 
 
 class Ended(SystemExit):
-    """Raised in a task that still waits when the simulation ends, so that its thread ends too."""
+    """Exception that is raised in a task which still waits when the simulation ends, so that its thread ends too."""
 
 
 class TaskComputer(Protocol):
@@ -67,7 +67,7 @@ class TaskComputer(Protocol):
 
 @dataclass(eq=False, slots=True)
 class Task:
-    """A thread that takes part."""
+    """Thread of the simulation."""
 
     name: str
     number: int
@@ -81,7 +81,7 @@ class Task:
     deadline: float | None = None
     #: Time of the scheduler's next check of the deadline. Most waits end earlier; the check then finds nothing to do.
     alarm: float = _NEVER
-    #: Whether the deadline came first.
+    #: Whether the last wait ended at its deadline.
     is_late: bool = False
     #: Queue where the code that makes the task ready finds it.
     waiters: deque[Task] | None = None
@@ -99,7 +99,7 @@ class Task:
 
 
 class Scheduler:
-    """Runs tasks one at a time.
+    """Scheduler that runs tasks one at a time.
 
     Args:
         seed: Seed that decides the order of the tasks.
@@ -128,9 +128,9 @@ class Scheduler:
         low, high = SWITCHES
         self._mean = low * (high / low) ** self.random.random()
         self._left = self._draw()
-        # Whether a due call runs, rather than a step of the running task.
+        # Whether the scheduler currently runs a due call, and not a step of the running task.
         self._is_choosing = False
-        # Released by a thread that `end` has ended.
+        # Lock that is released by a thread which `end` has ended.
         self._ended = allocate_lock()
         self.running: Task  # since `adopt`
         #: Thread id of the running task.
@@ -140,14 +140,14 @@ class Scheduler:
     # -- tasks -----------------------------------------------------------------------------------------
 
     def adopt(self, name: str, computer: TaskComputer) -> Task:
-        """Make the calling thread the first task, which is running."""
+        """Make the calling thread the first task, and let it run."""
         task = self.spawn(name, computer, is_ready=False)
         task.ident = self.ident = get_ident()
         self.running = task
         return task
 
     def spawn(self, name: str, computer: TaskComputer, *, is_ready: bool = True) -> Task:
-        """Make a task whose thread waits for its baton."""
+        """Make a task. Its thread must first call `begin`, which waits until the task may run."""
         task = Task(name, len(self.tasks), computer)
         self.tasks.append(task)
         if is_ready:
@@ -155,7 +155,7 @@ class Scheduler:
         return task
 
     def begin(self, task: Task) -> None:
-        """Wait until the task may run; the first action of its thread."""
+        """Wait until the task may run. The thread of the task calls this first."""
         task.baton.acquire()
         task.ident = self.ident = get_ident()
         if self.is_ending:
@@ -164,7 +164,7 @@ class Scheduler:
             self._follow(task)
 
     def finish(self, task: Task) -> None:
-        """End the task; the last action of its thread."""
+        """End the task. The thread of the task calls this last."""
         task.is_over = True
         for joiner in task.joiners:
             self.make_ready(joiner)
@@ -174,7 +174,7 @@ class Scheduler:
         else:
             self._hand_over(self._next())
 
-    # -- what a running task does ------------------------------------------------------------------------
+    # -- called by the running task ----------------------------------------------------------------------
 
     def step(self) -> None:
         """Let a little simulated time pass, and possibly let another task run."""
@@ -226,7 +226,7 @@ class Scheduler:
             return None
         return self.now + max(seconds, 0.0) / self.running.computer.rate
 
-    # -- what anybody does while a task runs -------------------------------------------------------------
+    # -- called by any thread while a task is running ----------------------------------------------------
 
     def make_ready(self, task: Task) -> None:
         """Put a task into the queue of tasks that can run."""
@@ -331,7 +331,7 @@ class Scheduler:
             raise error
 
     def _take(self, task: Task) -> None:
-        """Wait for the baton. Ctrl-C during the wait is raised when the task has the baton."""
+        """Wait until the task may run. If Ctrl-C is pressed during the wait, the exception is raised afterwards."""
         while True:
             try:
                 task.baton.acquire()
@@ -355,7 +355,7 @@ class Scheduler:
     def _ring(self, task: Task) -> None:
         """Handle the alarm of a task.
 
-        The deadline has passed, or a later wait has a later deadline, or the task does not wait.
+        There are three cases: the deadline has passed, a later wait has a later deadline, or the task is not waiting.
         """
         task.alarm = _NEVER
         deadline = task.deadline

@@ -1,4 +1,4 @@
-"""Sockets, `poll`, `select` and selectors for simulated connections, with standard names."""
+"""Replacements for sockets, `poll`, `select` and selectors, for simulated connections."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ _RealSocket = _socket.socket
 
 
 class Pollable:
-    """An object with a descriptor, and events that tasks wait for."""
+    """Object with a descriptor, and with events for which tasks can wait."""
 
     def __init__(self, sockets: Sockets) -> None:
         self._sockets = sockets
         #: Waiting tasks, and the events that they wait for.
         self._waiters: list[tuple[Task, int]] = []
-        #: Selectors that it is registered with.
+        #: Selectors with which this object is registered.
         self.selectors: list[Selector] = []
         self._number = sockets.open(self)
 
@@ -71,7 +71,7 @@ class Pollable:
 
 
 class Socket(Pollable):
-    """The `socket.socket` of simulated time: TCP, and enough of UDP to find a route."""
+    """Replacement for `socket.socket`: TCP, and the parts of UDP that are needed to find a route."""
 
     makefile = _RealSocket.makefile
     _io_refs = 0
@@ -89,7 +89,7 @@ class Socket(Pollable):
         self._bound: tuple[str, int] | None = None
         self._listener: Listener | None = None
         self._end = end
-        #: None, -1 during a connection attempt, or its outcome.
+        #: Outcome of the connection attempt: None before it, -1 while it is in progress, then 0 or an error number.
         self._connecting: int | None = None
         # Size that a waiting `recv` requests, and bytes that the kernel has passed to it while it could not return.
         self._asked = 0
@@ -442,7 +442,7 @@ class Sockets:
         return sum(isinstance(each, Socket) for each in self._open.values())
 
     def pair(self) -> tuple[Socket, Socket]:
-        """`socket.socketpair`."""
+        """Replacement for `socket.socketpair`."""
         computer = self.computer()
         ends = End(self.network, computer, 0), End(self.network, computer, 0)
         for one, other in (ends, ends[::-1]):
@@ -455,7 +455,7 @@ class Sockets:
         return here, there
 
     def addresses(self, host: Any, port: Any, family: int = 0, type: int = 0, proto: int = 0, flags: int = 0) -> Any:
-        """`socket.getaddrinfo`."""
+        """Replacement for `socket.getaddrinfo`."""
         name = host.decode() if isinstance(host, bytes) else host
         name = name or ("0.0.0.0" if flags & _socket.AI_PASSIVE else "127.0.0.1")
         found = self.network.find(name, self.computer())
@@ -467,7 +467,7 @@ class Sockets:
         return [(_socket.AF_INET, kind, proto or 6, "", (address, int(port or 0)))]
 
     def select(self, r: Iterable[Any], w: Iterable[Any], x: Iterable[Any], timeout: float | None = None) -> Any:
-        """`select.select`."""
+        """Replacement for `select.select`."""
         wanted = [(each, _IN) for each in r] + [(each, _OUT) for each in w]
         found = self.wait({_descriptor(each): mask for each, mask in wanted}, timeout)
         ready = [(each, mask) for each, mask in wanted if found.get(_descriptor(each), 0) & mask]
@@ -503,7 +503,7 @@ def _descriptor(which: Any) -> int:
 
 
 class Poll:
-    """`select.poll`."""
+    """Replacement for `select.poll`."""
 
     def __init__(self, sockets: Sockets) -> None:
         self._sockets = sockets
@@ -523,10 +523,10 @@ class Poll:
 
 
 class Selector(Pollable, selectors._BaseSelectorImpl):
-    """`selectors.DefaultSelector`, with the resolution of the clock for deadlines.
+    """Replacement for `selectors.DefaultSelector`. Its deadlines have the resolution of the clock.
 
-    Like epoll, it has a descriptor. It checks only objects that have changed since they had nothing to report, and
-    reports nothing for closed objects.
+    Like epoll, the selector has a descriptor. It checks only objects that have changed since they last had nothing to
+    report. It reports nothing for closed objects.
     """
 
     def __init__(self, sockets: Sockets) -> None:

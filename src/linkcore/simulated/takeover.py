@@ -1,4 +1,4 @@
-"""`simulated_time`: a block with simulated time, threads and sockets for all called code."""
+"""Function `simulated_time`: a block in which time, threads and sockets are simulated for all code."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ if sys.platform != "win32":
 #: Calendar time at which a simulation begins, in s since 1970: 2026-01-01.
 _EPOCH = 1767225600.0
 
-#: Names of further clocks that count the seconds since some start.
+#: Names of other Linux clocks that count the seconds since an arbitrary start.
 _OF_LINUX = ("CLOCK_BOOTTIME", "CLOCK_MONOTONIC_RAW")
 
-#: Modules without replacements: modules that the simulation uses, the interpreter's own, and modules that never
-#: wait.
+#: Modules in which nothing is replaced: modules that the simulation uses, modules of the interpreter, and modules that
+#: never wait.
 _KEPT = (
     "_thread",
     "importlib",
@@ -53,8 +53,8 @@ _KEPT = (
     "execnet",
 )
 
-#: C modules, or modules with their own locks, to import before the first simulation. They keep the objects that they
-#: find during import. So importing them inside a simulation would make the first run in a process differ from the next.
+#: C modules, or modules with their own locks, to import before the first simulation. They store objects during their
+#: import. If they were imported inside a simulation, the first run in a process would differ from the next run.
 _BEFORE = ("asyncio", "concurrent.futures.thread", "linkcore.clock", "multiprocessing.process", "numpy.random")
 
 #: Faults of a computer, and their text form.
@@ -68,7 +68,7 @@ _names: dict[str, tuple[int, tuple[str, ...]]] = {}
 
 
 class Simulation(StrictAttributes):
-    """Control of a `simulated_time` block, and its state.
+    """Object that controls a `simulated_time` block, and shows its state.
 
     Attributes:
         network: Computers, and the connections between them.
@@ -88,7 +88,7 @@ class Simulation(StrictAttributes):
 
     @property
     def trace(self) -> int:
-        """Checksum of all steps so far. It is equal for two runs that did the same."""
+        """Checksum of all steps so far. It is equal for two runs with the same steps."""
         return self._scheduler.trace
 
     @property
@@ -117,7 +117,7 @@ class Simulation(StrictAttributes):
 
     @contextlib.contextmanager
     def on(self, computer: Computer) -> Iterator[None]:
-        """Run a block as a program of another computer, with its sockets and threads."""
+        """Run a block as a program of another computer: its sockets and threads belong to this computer."""
         task = self._scheduler.running
         before, task.computer = task.computer, computer
         try:
@@ -206,7 +206,7 @@ class Simulation(StrictAttributes):
 def simulated_time(
     seed: int = 0, *, limit: float = 86400.0, latency: float = 1e-4, jitter: float = 5e-5
 ) -> Iterator[Simulation]:
-    """Run a block on a clock that jumps from one event to the next.
+    """Run a block in simulated time, on a clock that jumps from one event to the next.
 
     `seed` decides the order of the threads. In the block, `time`, `threading`, `queue`, `concurrent.futures`, `socket`,
     `select`, `selectors` and asyncio are simulated, for every module that uses them. Threads that were already running

@@ -1,11 +1,11 @@
-"""A connection to one peer that reconnects: its life, its subscribers, sending, and the thread that reads it.
+"""Connection to one peer that reconnects automatically, with its subscribers and the thread that reads it.
 
     transport -> receiver -> fan-out -> queues -> callbacks
     [------ reader thread --------]   [own threads]
 
-The library holds connections. Users hold a `Stream` or a `Feed`, which refers to a connection. The reader thread refers
-to its connection too, so the connection exists until it is closed. `linkcore.aio.loop_connection` has the variant that
-an event loop reads. It replaces only the methods of the section "the reader".
+Connections are internal objects of the library. Users get a `Stream` or a `Feed`, which refers to a connection. The
+reader thread also refers to its connection, so the connection exists until it is closed. `linkcore.aio.loop_connection`
+contains the variant that an event loop reads. This variant replaces only the methods of the section "the reader".
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _log = logging.getLogger(__name__)
 
 
 class Connection:
-    """A connection and its subscribers, read by a dedicated thread.
+    """Connection with its subscribers. A dedicated thread reads it.
 
     It connects when it is first used.
 
@@ -96,9 +96,9 @@ class Connection:
 
     @property
     def failure(self) -> Exception | None:
-        """Error that ended it for good, as a copy that may be raised.
+        """Error that ended the connection permanently, as a copy that may be raised.
 
-        It is None if it was closed on purpose.
+        It is None if the connection was closed on purpose.
         """
         failure = self._life.failure
         return None if failure is None else unraised(failure)
@@ -126,9 +126,9 @@ class Connection:
             RemoteError: If connecting fails; the next use tries again.
             LocalError: If the system has no thread left, if the reader calls this while it is not connected, or if this
                 process was forked from the process that made the connection.
-            Closed: If it was closed.
+            Closed: If the connection was closed.
         """
-        self._home.check()  # before the lock is acquired, because a thread of the parent may have held it at the fork
+        self._home.check()  # before `_lock` is acquired: a thread of the parent might hold it
         is_again = is_mine(self._lock)
         with self._changed:
             if self._life.is_ending or not self._is_settled:
@@ -162,7 +162,7 @@ class Connection:
 
     @property
     def _is_settled(self) -> bool:
-        """Whether `start` does not have to wait, because it has connected once, or was closed."""
+        """Whether `start` does not have to wait, because the connection was made once, or was closed."""
         return self._life.phase is not ConnectionPhase.IDLE and self._life.attempt.is_settled
 
     def _begin(self, is_patient: bool) -> None:
@@ -201,7 +201,7 @@ class Connection:
         has_ended = self._join_reader(timeout)
         for delivery in self.fan_out.deliveries:
             delivery.join(clock.left(until))
-            if isinstance(delivery, InlineDelivery):  # it refers to this connection
+            if isinstance(delivery, InlineDelivery):  # an inline delivery refers to this connection
                 self.fan_out.remove_delivery(delivery)
         if not has_ended:
             self.fan_out.close(all=True)
@@ -224,13 +224,14 @@ class Connection:
     def send(self, data: bytes, timeout: float) -> None:
         """Send `data` on the current connection, completely or not at all from the view of the peer.
 
-        Connects first if it has not connected yet. Data is never kept for later: if it cannot be sent now, it is
-        discarded. If the peer does not accept all of it in time, the connection is aborted, because the peer would read
-        anything sent later as the missing part.
+        Connect first if the connection has never been made. Data is never stored for later: if it cannot be sent now,
+        it is discarded. If the peer does not accept all of the data in time, the connection is aborted, because the
+        peer would read any later data as the missing part.
 
         Raises:
-            LinkTimeout: If the peer does not accept the data within `timeout` seconds, or if this is called in a signal
-                handler that has interrupted another call of `send`, whose bytes may have been sent in part.
+            LinkTimeout: If the peer does not accept the data within `timeout` seconds. Also if a signal handler calls
+                this after it has interrupted another call of `send`, because a part of the bytes of that call might
+                have been sent.
             RemoteError, LocalError, Closed: See `start` and `send_some`.
         """
         self.start()
@@ -253,11 +254,11 @@ class Connection:
     def send_some(self, data: bytes | memoryview) -> int:
         """Pass to the kernel as many bytes as it accepts at once; return their number.
 
-        Uses no wait and no lock.
+        This method never waits, and acquires no lock.
 
         Raises:
-            ConnectionLost: If it is not connected.
-            Closed: If it was closed, or has ended.
+            ConnectionLost: If there is currently no connection.
+            Closed: If the connection was closed, or has ended.
         """
         if self.state is not ConnectionState.CONNECTED:
             if self.is_over:
@@ -395,7 +396,7 @@ class Connection:
             self._changed.notify_all()
 
     def _next_try(self, error: Exception | None) -> float | None:
-        """Handle the end of a connection, or a failure to connect.
+        """Process the end of a connection, or a failed attempt to connect.
 
         Return the seconds until the next try.
 
@@ -457,7 +458,8 @@ class Connection:
         self._transport.abort()
         self.counters.disconnected()
         if failure is not None or self._life.is_closed:
-            # The last packet of a finished recording stays: it is as current as every other packet of the recording.
+            # Keep the last packet of a finished recording, because it is as current as every other packet of the
+            # recording.
             self.fan_out.forget()
         if failure is not None and self._life.attempt.has_opened:
             # If a program has only callbacks, the log is the only report of this failure.
@@ -509,7 +511,7 @@ class Connection:
         Raises:
             LocalError: If the system has no thread left.
         """
-        # Set before the thread starts, because the thread compares itself with it.
+        # Set the attribute before the thread starts, because the thread compares itself with it.
         self._reader = threading.Thread(target=self._read, name=f"{self.name} reader", daemon=True)
         try:
             started(self._reader)

@@ -1,7 +1,7 @@
-"""The state machine of a connection: its phase, the possible events, and the state that subscribers get. Sans-IO.
+"""State machine of a connection: phases, events, and the states that subscribers get. It uses no sockets (sans-IO).
 
-`TRANSITIONS` has all transitions; docs/architecture.md shows the table. An event that is not in the table raises an
-error, so that a defect in a reader is found where it happens. `ConnectionLife` also decides whether to reconnect, and
+`TRANSITIONS` contains all transitions; docs/architecture.md shows the table. An event that is not in the table raises
+an error, so that a defect in a reader is found immediately. `ConnectionLife` also decides whether to reconnect, and
 after how many seconds.
 
 Subscribers get a `ConnectionEvent` for each change. Recorders also get the received bytes. `Backoff` defines the waits
@@ -33,7 +33,7 @@ class ConnectionState(enum.Enum):
 
 
 class ConnectionEvent(NamedTuple):
-    """Change of the connection of a stream; you can subscribe to it like to a packet.
+    """Change of the connection of a stream. You can subscribe to this class as to a class of packets.
 
     Attributes:
         state: New state.
@@ -49,7 +49,7 @@ class ConnectionEvent(NamedTuple):
 
 
 class Traffic(StrictAttributes):
-    """Class to subscribe to for every `Chunk` and every `ConnectionEvent`, in order."""
+    """Class for subscriptions: a subscriber to this class gets every `Chunk` and every `ConnectionEvent`, in order."""
 
     IS_EVENT = True
 
@@ -63,7 +63,7 @@ class Chunk(NamedTuple):
 
 @dataclass(frozen=True)
 class Backoff:
-    """Exponential and bounded waits before reconnecting.
+    """Waits before the attempts to reconnect. They grow exponentially up to a maximum.
 
     The jitter prevents many clients from reconnecting at the same time.
 
@@ -71,7 +71,7 @@ class Backoff:
         first: Wait before the first try, in seconds.
         factor: Growth of the wait from try to try.
         most: Maximum wait, in seconds.
-        jitter: Share by which each wait is varied at random, 0 to 1.
+        jitter: Fraction by which each wait is changed at random, 0 to 1.
         tries: Maximum number of tries; None for no limit, 0 for no try.
 
     Raises:
@@ -108,7 +108,7 @@ class Backoff:
 
 
 class ConnectionPhase(enum.Enum):
-    """Phase of a connection; `STATES` has the state that users see in each phase."""
+    """Phase of a connection. `STATES` contains the state that users get in each phase."""
 
     IDLE = "idle"  # it was never used, or the last reader gave up; the next use starts a new reader
     STARTING = "starting"  # its reader is being started
@@ -190,13 +190,14 @@ TRANSITIONS: Mapping[_Cause, _Effect] = MappingProxyType(
 class Attempt:
     """Result of the first connection of a reader.
 
-    Each reader has its own attempt, because the next one may start immediately after a failure.
+    Each reader has its own attempt, because the next one might start immediately after a failure.
 
     Attributes:
         is_patient: Whether no caller waits for the connection, so that a failure is retried.
-        is_settled: Whether it was made and subscribers were notified, or whether it cannot be made.
-        has_opened: Whether it was made.
-        failure: Error because of which it could not be made, or None.
+        is_settled: Whether the outcome is known: the connection was made and subscribers were notified, or it cannot be
+            made.
+        has_opened: Whether the connection was made.
+        failure: Error that prevented the connection, or None.
     """
 
     def __init__(self, is_patient: bool) -> None:
@@ -206,7 +207,7 @@ class Attempt:
 
 
 class ConnectionLife:
-    """Life of one connection, with the times of its reconnections.
+    """Life of one connection: its phase, and the times of the attempts to reconnect.
 
     Args:
         name: Name, used in messages.

@@ -1,6 +1,6 @@
 """Distribution of the packets of a stream to each queue and each inline callback that subscribed to their class.
 
-The thread that reads the stream calls this, and needs no lock here, because tuples are replaced and never changed.
+The thread that reads the stream publishes the packets. It needs no lock, because tuples are replaced and never changed.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class _Route(NamedTuple):
 
 
 class FanOut:
-    """The subscribers of one stream, and the newest packet of each class.
+    """Subscribers of one stream, and the newest packet of each class.
 
     Args:
         kind: Main class of packets.
@@ -84,7 +84,7 @@ class FanOut:
         # The reader uses these tuples, which are made from the routes: all sinks, the queues, the inline callbacks.
         self._offers: tuple[tuple[_Offer, ...], tuple[_Offer, ...], tuple[_Offer, ...]] = ((), (), ())
         self.taps: tuple[Sink, ...] = ()
-        self._last: Any = None  # the newest packet if packets have no parts, which is the fast case
+        self._last: Any = None  # the newest packet, only for streams whose packets have no parts
         self._newest: dict[type, tuple[int, Any]] = {}
         self._number = 0
 
@@ -100,8 +100,8 @@ class FanOut:
     def publish(self, packets: Sequence[Any]) -> None:
         """Publish one or more packets, in order.
 
-        Each packet goes to all inline callbacks before the next packet does, because one callback may depend on the
-        result of another one. For example, a stop and the start of a program may arrive in the same bytes, and a
+        Each packet goes to all inline callbacks before the next packet does, because one callback might depend on the
+        result of another one. For example, a stop and the start of a program might arrive in the same bytes, and a
         callback then decides whether this program may continue.
         """
         if self._parts is None:
@@ -207,9 +207,17 @@ class FanOut:
                     self._routes.pop(route, None)
             self._update()
 
+    @property
+    def sinks(self) -> tuple[Sink, ...]:
+        """Sinks that are offered packets, in the order in which they get them."""
+        return tuple(route.sink for route in self._now())
+
     def _now(self) -> list[_Route]:
+        # Copied in one step, because the reader calls this while other threads subscribe.
+        routes = list(self._routes)
         # Inline callbacks come last, so that a slow one does not delay the queues.
-        return sorted(self._routes, key=lambda route: route.sink.is_inline)
+        routes.sort(key=lambda route: route.sink.is_inline)
+        return routes
 
     def _update(self) -> None:
         """Make the tuples of the reader from the routes.
@@ -229,9 +237,9 @@ class FanOut:
     # -- callbacks -------------------------------------------------------------------------------
 
     @property
-    def deliveries(self) -> tuple[Delivery, ...]:
+    def deliveries(self) -> list[Delivery]:
         """Deliveries of all callbacks."""
-        return tuple(self._deliveries)
+        return list(self._deliveries)
 
     def add_delivery(self, delivery: Delivery) -> None:
         """Register a callback, so that closing the stream can wait for it."""
@@ -245,8 +253,8 @@ class FanOut:
             self._deliveries.pop(delivery, None)
 
     def close(self, *, all: bool) -> None:
-        """Close the sinks that may lose packets, and the sink whose callback makes this call; or all sinks."""
+        """Close all sinks; without `all`, close sinks that may lose packets and the sink whose callback calls this."""
         callers = [delivery.sink for delivery in self.deliveries if delivery.runs_here()]
-        for route in self._now():
-            if all or not route.sink.makes_reader_wait or route.sink in callers:
-                route.sink.close()
+        for sink in self.sinks:
+            if all or not sink.makes_reader_wait or sink in callers:
+                sink.close()

@@ -1,4 +1,4 @@
-"""`Feed`: the public interface to the packets of one class on a stream."""
+"""Class `Feed`: the public interface to the packets of one class on a stream."""
 
 from __future__ import annotations
 
@@ -54,8 +54,8 @@ class Feed(StrictAttributes, Generic[T]):
         """Newest packet of the current connection, or None. Never blocks.
 
         It is None before the first packet arrives, and again after the connection is lost, so that old data is never
-        shown as new. A finished recording keeps its last packet. Reading it starts the connection if the stream has not
-        connected yet.
+        shown as new. A finished recording keeps its last packet. If the stream has not connected yet, reading this
+        property starts the connection.
         """
         self._connection.start_quietly()
         return self._connection.fan_out.newest(self._kind)
@@ -188,11 +188,11 @@ class Feed(StrictAttributes, Generic[T]):
         on_deadline: Callable[[float], object] | None = None,
         inline: bool = False,
     ) -> Subscription:
-        """Call `callback` with each packet, in order and one at a time, until closed.
+        """Call `callback` with each packet, in order and one at a time, until the subscription is closed.
 
-        Each subscription has its own queue and its own thread. So a callback may be slow and may raise, and no other
-        subscriber loses a packet because of that. With ``inline=True`` the thread that reads the stream makes the call,
-        which saves the time to wake another thread. Such a callback must be quick: until it returns, nothing is read,
+        Each subscription has its own queue and its own thread. So a callback may be slow, and may raise, without
+        causing another subscriber to lose a packet. With ``inline=True``, the thread that reads the stream makes the
+        call, so that no other thread has to be woken. Such a callback must be quick: until it returns, nothing is read,
         and no other subscriber of this stream gets a packet. Calls of more than 0.5 ms are counted in `Stream.stats`.
 
         Args:
@@ -200,8 +200,9 @@ class Feed(StrictAttributes, Generic[T]):
             policy: Behaviour when the callback falls behind: `latest`, `drop_oldest(n)` or `block`; default
                 `drop_oldest(256)`, and `drop_oldest(1024)` for events. Not allowed for an inline callback, which has no
                 queue.
-            lifespan: Maximum age of a packet in seconds after its arrival; None for no limit. A packet that is older
-                when its turn comes is dropped and counted as `expired`. Not allowed for an inline callback.
+            lifespan: Maximum age of a packet in seconds after its arrival; None for no limit. If a packet is older than
+                this when it would be delivered, it is dropped and counted as `expired`. Not allowed for an inline
+                callback.
             deadline: Maximum time between two packets, in seconds.
             on_deadline: Function that is called with the seconds since the last packet, once for each time that exceeds
                 `deadline`; by default a warning is logged. For an inline callback it is called in a dedicated thread.
@@ -238,7 +239,7 @@ class Feed(StrictAttributes, Generic[T]):
         """
         seconds = check_seconds(seconds, "seconds", positive=True, finite=True)
         if not (issubclass(self._kind, State) and self._kind.FIELDS):
-            raise BadValue(f"{self._kind.__name__} has no fields of its own to keep; select one of its parts with of()")
+            raise BadValue(f"{self._kind.__name__} has no fields to keep; select one of its parts with of()")
         return History(self._kind, seconds, lambda keep: self.subscribe(keep, inline=True))
 
     def plot(self, *fields: str, seconds: float = 10.0, window: float = 10.0, period: float = 0.2) -> None:
@@ -310,7 +311,7 @@ class Feed(StrictAttributes, Generic[T]):
 
     @property
     def _has_events(self) -> bool:
-        """Whether the packets are events that come once, rather than samples of a continuous quantity."""
+        """Whether the packets are events, each of which occurs once, and not samples of a continuous quantity."""
         return bool(getattr(self._kind, "IS_EVENT", self._kind is ConnectionEvent))
 
     def _why_nothing(self, timeout: float) -> Exception:
@@ -330,7 +331,7 @@ class Feed(StrictAttributes, Generic[T]):
         connection = self._connection
         if looked_at and connection.failure is None and not connection.is_over:
             what = f"{looked_at} {self._kind.__name__} from {connection.name}"
-            return LinkTimeout(f"the condition was true for none of {what} within {timeout:g} s")
+            return LinkTimeout(f"no packet met the condition within {timeout:g} s; examined {what}")
         return self._why_nothing(timeout)
 
     def __repr__(self) -> str:
@@ -340,7 +341,7 @@ class Feed(StrictAttributes, Generic[T]):
 def _taking(queue: PacketQueue) -> Callable[[float | None], Any]:
     """Return `queue.next`.
 
-    If this thread makes a pending call, abandoning the call ends the wait.
+    If this thread is making a pending call, abandoning the call ends the wait.
     """
     if pending_call() is None:
         return queue.next

@@ -1,4 +1,4 @@
-"""The last seconds of a stream as arrays, for filters and for machine learning.
+"""History of the last seconds of a stream, as arrays, for filters and for machine learning.
 
 States are kept as they arrive, which takes about a microsecond of the reader for each state. They are converted to
 columns when an array is requested.
@@ -6,8 +6,9 @@ columns when an array is requested.
 
 from __future__ import annotations
 
-from collections import deque
+from bisect import bisect_left
 from collections.abc import Callable
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -28,12 +29,12 @@ _WHEN = ("received", "received_wall")
 class History(StrictAttributes, Closing):
     """The states of the last seconds, returned by `Feed.history`.
 
-    It is a context manager: it keeps states until it is closed. After a reconnection to another firmware, whose fields
-    differ, the earlier states are dropped.
+    It stores states until it is closed, and can be used as a context manager. After a reconnection to a firmware with
+    other fields, the earlier states are dropped.
 
     Args:
         kind: Class of the states.
-        seconds: Time in s before the newest state for which older states are kept, by the arrival of their bytes.
+        seconds: Maximum time in s between the arrivals of the oldest kept state and of the newest state.
         subscribe: Function that subscribes a callback to each state.
     """
 
@@ -42,7 +43,9 @@ class History(StrictAttributes, Closing):
     ) -> None:
         self._kind = kind
         self._seconds = seconds
-        self._states: deque[tuple[float, State]] = deque()
+        # Times and states. Only the reader changes this list, and other threads copy it in one step. A deque cannot be
+        # copied in one step. The first states might be too old; see `_keep`.
+        self._states: list[tuple[float, State]] = []
         self._subscription = subscribe(self._keep)
 
     def _keep(self, state: State) -> None:
@@ -54,8 +57,15 @@ class History(StrictAttributes, Closing):
         now = clock.now() if stamp is None else stamp.monotonic
         states.append((now, state))
         oldest = now - self._seconds
-        while states[0][0] < oldest:
-            states.popleft()
+        # Old states are deleted together when they are a quarter of all, because a deletion moves the rest of the list.
+        if states[len(states) // 4][0] < oldest:
+            del states[: _first(states, oldest)]
+
+    def _kept(self) -> list[State]:
+        """Return the states that are not too old, with the oldest state first. Any thread may call this."""
+        states = list(self._states)
+        first = _first(states, states[-1][0] - self._seconds) if states else 0
+        return [state for _, state in states[first:]]
 
     def array(self, *fields: str) -> NDArray[np.void]:
         """Return the states as a structured array, with the oldest state first.
@@ -73,8 +83,7 @@ class History(StrictAttributes, Closing):
         Raises:
             BadValue: If there is no such field, if it is not numeric, or if this firmware does not send it.
         """
-        # Copied in one step, because the reader continues meanwhile.
-        states = [state for _, state in self._states.copy()]
+        states = self._kept()
         check_fields(fields)
         places: dict[str, tuple[str, int | None]] = {}
         for name in dict.fromkeys(fields or self._kind.FIELDS):
@@ -131,14 +140,19 @@ class History(StrictAttributes, Closing):
         return np.asarray(self.array(), dtype)
 
     def __len__(self) -> int:
-        return len(self._states)
+        return len(self._kept())
 
     def close(self) -> None:
-        """Keep no more states; the kept states stay. Idempotent."""
+        """Stop storing states. Stored states can still be read. Idempotent."""
         self._subscription.close(0)
 
     def __repr__(self) -> str:
         return f"<History of {len(self)} {self._kind.__name__} in {self._seconds:g} s>"
+
+
+def _first(states: list[tuple[float, State]], oldest: float) -> int:
+    """Return the index of the first state that is not older than `oldest`."""
+    return bisect_left(states, oldest, key=itemgetter(0))
 
 
 def _numbers(values: list[Any]) -> NDArray[Any] | None:

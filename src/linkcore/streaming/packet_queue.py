@@ -1,13 +1,13 @@
-"""The bounded queue between the reader of a stream and one consumer, and the policies for a full queue.
+"""Bounded queue between the reader of a stream and one consumer, and the policies for a full queue.
 
-`BoundedQueue` has the limit, the policy, the lifespan, the end and the counters. It never waits. Its two subclasses
-differ only in how a consumer waits for a packet, and a reader for room: `PacketQueue` is for threads, and
+`BoundedQueue` implements the limit, the policy, the lifespan, the end and the counters. It never waits. Its two
+subclasses implement two kinds of waiting, for packets and for room: `PacketQueue` is for threads, and
 `linkcore.aio.packets.LoopQueue` is for tasks.
 
-`queue.Queue` uses a lock and a condition for each packet, in Python. It can neither drop the oldest packet nor be
-ended. Here the packets are in a `deque`, whose methods are atomic. A thread that finds it empty sets a flag and sleeps
-on a `SimpleQueue`, which is woken in C. So passing on a packet takes a few method calls and a check of a flag, and many
-packets take hardly longer than one.
+`queue.Queue` uses a lock and a condition for each packet, in Python. Such a queue can neither drop the oldest packet
+nor be ended. In this module, the packets are in a `deque`, whose methods are atomic. If a thread finds the deque empty,
+it sets a flag and sleeps on a `SimpleQueue`, which wakes it in C. So passing on a packet needs only a few method calls
+and a check of a flag. Many packets take hardly longer than one packet.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from .. import clock
 from ..arguments import check_seconds
 from ..errors import BadValue
 
-#: Function that makes room when not all packets fit: ``drop(waiting, packets, limit)`` drops packets from either. It
-#: returns the part of `packets` to add, and the number of dropped packets. The consumer may take from `waiting`
-#: meanwhile.
+#: Function that makes room when not all packets fit. ``drop(waiting, packets, limit)`` drops queued packets (`waiting`)
+#: or new ones (`packets`). It returns the part of `packets` to add, and the number of dropped packets. The consumer may
+#: remove packets from `waiting` at the same time.
 Drop = Callable[[deque[Any], Sequence[Any], int], tuple[Sequence[Any], int]]
 
 
@@ -118,7 +118,7 @@ def is_older(packet: Any, lifespan: float) -> bool:
 
 
 class BoundedQueue(abc.ABC):
-    """Queue with one producer and one consumer: the common part for threads and tasks.
+    """Queue with one producer and one consumer: common base class of the queues for threads and for tasks.
 
     When both sides are idle, ``offered == taken + dropped + waiting`` always holds. Each counter is incremented where
     its event happens, by only one thread or under a lock.
@@ -130,12 +130,13 @@ class BoundedQueue(abc.ABC):
     Attributes:
         offered: Number of packets that were offered to this queue.
         taken: Number of packets that the consumer took.
-        expired: Number of packets among `dropped` that were older than the lifespan when their turn came.
+        expired: Number of packets among `dropped` that were older than the lifespan when they would have been
+            delivered.
         makes_reader_wait: Whether the reader waits when the queue is full, so that no packet is dropped.
         is_over: Whether the queue was closed, or no more packets will arrive and all were taken.
     """
 
-    #: A queue never delays another one, so the reader serves queues before the callbacks that it calls itself.
+    #: A queue never delays another queue, so the reader serves queues before the callbacks that it calls itself.
     is_inline = False
 
     def __init__(self, policy: Policy, lifespan: float | None = None) -> None:
@@ -254,8 +255,8 @@ class PacketQueue(BoundedQueue):
     """Queue for a consumer in another thread. See `BoundedQueue` for the arguments.
 
     A consumer that finds no packet sets its flag, checks the queue again, and sleeps until a token arrives. A thread
-    that changes the queue checks the flag afterwards. So one of the two always notices the other. A reader without room
-    does the same.
+    that changes the queue checks the flag afterwards. So at least one of the two threads notices the other. A reader
+    that waits for room does the same.
     """
 
     def __init__(self, policy: Policy, lifespan: float | None = None) -> None:

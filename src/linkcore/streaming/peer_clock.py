@@ -1,10 +1,10 @@
-"""Comparison of the clock of a peer with the clock of this computer, from the times in packets and their arrivals.
+"""Comparison of a peer's clock with the clock of this computer, based on times in packets and arrival times.
 
-A packet contains the time of the peer at which it was made, and arrives later. Its delay is unknown, but it has two
-limits. It cannot be negative, and the quickest of many packets took no longer than the handshake of their TCP
-connection, which goes there and back. So the quickest packets show the relation of both clocks, with an uncertainty of
-this round trip. `OffsetEstimator` keeps the quickest packet of each second of the last minute. It places the highest
-line that is not above any of these packets. The slope of the line is the drift.
+A packet contains the time of the peer at which the packet was made, and arrives later. The delay of a packet is
+unknown, but it has two limits. It cannot be negative. And the delay of the quickest of many packets is not longer than
+the handshake of the TCP connection, which is a round trip. So the quickest packets show the relation of both clocks,
+with an uncertainty of this round trip. `OffsetEstimator` keeps the quickest packet of each second of the last minute.
+It computes the highest line that is not above any of these packets. The slope of this line is the drift.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-#: Seconds by which a packet may be quicker than the quickest earlier packet. If it is even quicker, a clock was set.
+#: Seconds by which a packet may be quicker than the quickest earlier packet. If a packet is even quicker, one of the
+#: clocks was probably set.
 EARLIER = 0.1
 #: Maximum drift between two clocks, as a fraction: Linux adjusts its clock by up to 500 ppm, and a crystal is within
 #: 100 ppm.
@@ -39,8 +40,8 @@ class OffsetEstimate(NamedTuple):
 
     Attributes:
         moment: Time on the peer's clock for which the other values are valid, in s.
-        way: Arrival of the quickest packet on this computer's clock minus `moment`, in s. The two clocks have different
-            zeros, so only changes of `way` are meaningful.
+        way: Arrival time of the quickest packet on this computer's clock minus `moment`, in s. The two clocks have
+            different zero points, so only changes of `way` are meaningful.
         slope: Growth of `way` per second of the peer.
         error: Seconds by which the quickest packets might have been slower than the quickest possible packets.
         unsure: Maximum error of `slope`.
@@ -79,7 +80,7 @@ class OffsetEstimate(NamedTuple):
 
 
 class _Second(NamedTuple):
-    """Packets of about a second: time and delay of the quickest packet, number of packets, and their mean delay."""
+    """Packets of about one second: time and delay of the quickest packet, number of packets, and mean delay."""
 
     moment: float
     way: float
@@ -121,7 +122,7 @@ class OffsetEstimator:
         #: Time of the newest packet, and the smallest plausible `way`; a packet below it has a wrong time.
         self._last, self._floor = -math.inf, -math.inf
         self._suspect: tuple[float, float] | None = None
-        #: Whether it is still unknown if the current connection has the same clock as the previous one.
+        #: True until it is known whether the current connection has the same clock as the previous one.
         self._is_new = False
         self._known: tuple[object, object, OffsetEstimate | None] = (None, None, None)
 
@@ -160,7 +161,7 @@ class OffsetEstimator:
         self.due = arrival + _STEP if self._seconds and not self._is_new else 0.0
 
     def _is_another(self, moment: float, way: float) -> bool:
-        """Whether this is the second packet by a different clock.
+        """Whether this is the second packet in a row that shows a different clock.
 
         A single such packet might have a wrong time.
         """
@@ -177,7 +178,7 @@ class OffsetEstimator:
     def _recognise(self) -> None:
         """Check whether the clock of a new connection continues the previous one.
 
-        Restart if it does not. It does not if the peer was switched off meanwhile.
+        If it does not, for example because the peer was switched off meanwhile, restart the estimate.
         """
         self._is_new = False
         if self._seconds:

@@ -1,4 +1,4 @@
-"""Conversion of bytes to packets, with counters. Sans-IO: this part of a stream needs neither a thread nor a socket.
+"""Conversion of bytes to packets, with counters. This part of a stream uses neither a thread nor a socket (sans-IO).
 
 The reader thread passes the received bytes to it, and publishes the returned packets. An asyncio protocol could do the
 same in `data_received`.
@@ -18,7 +18,7 @@ from .statistics import StreamCounters
 
 _log = logging.getLogger(__name__)
 
-#: Every comparison with it is false.
+#: NaN, because every comparison with NaN is false.
 _NO_TIME = float("nan")
 
 
@@ -87,7 +87,7 @@ class Receiver:
         protocol, packets = self._protocol, []
         if protocol.cycles is not None:
             protocol.cycles.take(frames)
-        # Looked up each time, because the protocol may have replaced its decoder after these frames.
+        # Looked up each time, because the protocol might have replaced its decoder after these frames.
         decode = self._strictly or protocol.decode
         for frame in frames:
             try:

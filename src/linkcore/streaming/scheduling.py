@@ -1,4 +1,4 @@
-"""Real-time options of the operating system and the interpreter for threads that must not be late.
+"""Real-time options of the operating system and of the interpreter, for threads that must not be late.
 
 A thread that reads or drives a robot needs little processor time, but it needs it immediately. It might be late because
 of the system's scheduler, swapped-out memory, the garbage collector, or another thread that holds the interpreter's
@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
+from .. import clock
 from ..errors import BadValue
 
 _log = logging.getLogger(__name__)
@@ -50,7 +51,7 @@ class _Options:
 
 
 class _Threads:
-    """The threads that must not be late, and their options."""
+    """Threads that must not be late, and their options."""
 
     def __init__(self) -> None:
         # Re-entrant, because a signal handler may enter a block; it leaves the block before it returns.
@@ -60,19 +61,20 @@ class _Threads:
 
     @contextlib.contextmanager
     def urgent(self) -> Iterator[None]:
-        """Give the options to the current thread while it is in the block."""
+        """Give the options to the current thread while it is in the block, and fine timers to the process."""
         number = threading.get_native_id()
         with self._lock:
             self._numbers[number] = self._numbers.get(number, 0) + 1
             if self._numbers[number] == 1 and self._options != _Options():
                 _give(number, self._options)
         try:
-            yield
+            with clock.fine_timer():
+                yield
         finally:
             with self._lock:
                 left = self._numbers[number] = self._numbers[number] - 1
                 if not left:
-                    self._numbers.pop(number, None)  # a signal handler may have removed it already
+                    self._numbers.pop(number, None)  # a signal handler might have removed it already
                     if self._options != _Options():
                         _give(number, _Options())
 
@@ -90,7 +92,10 @@ class _Threads:
 
 _threads = _Threads()
 urgent = _threads.urgent
-_everywhere = os.sched_getaffinity(0) if sys.platform == "linux" else set()
+if sys.platform == "linux":
+    _everywhere = os.sched_getaffinity(0)
+else:
+    _everywhere = set(range(os.cpu_count() or 1))
 _reported: set[frozenset[str]] = set()
 
 
@@ -112,12 +117,12 @@ def realtime_options(
         priority: Priority of the scheduling policy SCHED_FIFO, 1 to 99. Such a thread runs before every normal thread.
             Linux only; needs CAP_SYS_NICE or a limit (``ulimit -r``).
         cpu: Number of a processor, or several numbers. The threads run only on these processors. Linux only.
-        lock_memory: Whether no page of this process may be swapped out. Linux and macOS; needs a limit (``ulimit -l``).
+        lock_memory: Whether no page of this process may be swapped out. Linux only; needs a limit (``ulimit -l``).
         gc: Garbage collection of reference cycles: False switches it off, True switches it on, "freeze" excludes all
             current objects from it, and None leaves it unchanged.
         switch_interval: Seconds after which a thread that computes in Python must let other threads run; Python's
-            default is 0.005 (`sys.setswitchinterval`). This is the longest delay of another thread, each time that it
-            needs the interpreter. None leaves it unchanged.
+            default is 0.005 (`sys.setswitchinterval`). Each time that another thread needs the interpreter, it waits at
+            most this long. None leaves the value unchanged.
 
     Raises:
         BadValue: If the priority, the processor or the interval is out of range.
@@ -158,9 +163,8 @@ def _cpus(cpu: int | Iterable[int] | None) -> frozenset[int] | None:
     if cpu is None:
         return None
     cpus = frozenset((cpu,)) if isinstance(cpu, int) else frozenset(cpu)
-    there = _everywhere or set(range(os.cpu_count() or 1))
-    if not cpus or not cpus <= there:
-        raise BadValue(f"cpu={cpu!r}; expected processors from {', '.join(map(str, sorted(there)))}")
+    if not cpus or not cpus <= _everywhere:
+        raise BadValue(f"cpu={cpu!r}; expected processors from {', '.join(map(str, sorted(_everywhere)))}")
     return cpus
 
 
@@ -204,17 +208,16 @@ def _set(number: int, options: _Options) -> None:
         OSError: If the system refuses an option.
         NotImplementedError: If this system has no such option.
     """
-    if sys.platform != "linux":
-        if options == _Options():
-            return
+    if sys.platform == "linux":
+        os.sched_setaffinity(number, options.cpus or _everywhere)
+        if options.priority is None:
+            os.sched_setscheduler(number, os.SCHED_OTHER, os.sched_param(0))
+        else:
+            # Threads and processes that such a thread starts must not inherit the policy.
+            policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+            os.sched_setscheduler(number, policy, os.sched_param(options.priority))
+    elif options != _Options():
         raise NotImplementedError(f"not implemented on {sys.platform}")
-    os.sched_setaffinity(number, options.cpus or _everywhere)
-    if options.priority is None:
-        os.sched_setscheduler(number, os.SCHED_OTHER, os.sched_param(0))
-    else:
-        # Threads and processes that such a thread starts must not inherit the policy.
-        policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
-        os.sched_setscheduler(number, policy, os.sched_param(options.priority))
 
 
 def _lock_memory(is_wanted: bool) -> dict[str, str]:
@@ -235,14 +238,15 @@ def _call_mlock(is_wanted: bool) -> None:
 
     Raises:
         OSError: If the system refuses it.
-        NotImplementedError: If this system has no such call.
+        NotImplementedError: If this is not Linux. The kernel of macOS answers both calls with ENOSYS.
     """
-    if sys.platform == "win32":
-        raise NotImplementedError("not implemented on Windows")
-    import ctypes
+    if sys.platform == "linux":
+        import ctypes
 
-    libc = ctypes.CDLL(None, use_errno=True)
-    result = libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) if is_wanted else libc.munlockall()
-    if result:
-        number = ctypes.get_errno()
-        raise OSError(number, f"{os.strerror(number)} (errno {number})")
+        libc = ctypes.CDLL(None, use_errno=True)
+        result = libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) if is_wanted else libc.munlockall()
+        if result:
+            number = ctypes.get_errno()
+            raise OSError(number, f"{os.strerror(number)} (errno {number})")
+    else:
+        raise NotImplementedError(f"not implemented on {sys.platform}")

@@ -1,14 +1,15 @@
-"""Measurement of the silence of a peer, from the result of each wait for bytes. Sans-IO.
+"""Measurement of the silence of a peer, based on the result of each wait for bytes. It uses no sockets (sans-IO).
 
-Only the reader thread can measure silence. The time since the last packet proves nothing, because packets might be
-waiting in the socket while this process is suspended, or blocked by a C call that holds the interpreter's lock. But if
-the kernel's own wait for bytes times out, nothing has arrived. So silence is the sum of the waits that timed out since
-the last packet. A stall of this process never adds to it.
+Only the reader thread can measure silence. The time since the last packet does not prove a silence, because packets
+might be waiting in the socket while this process is suspended, or blocked by a C call that holds the interpreter lock.
+But if the kernel waits for bytes and this wait times out, nothing has arrived. So the silence is the sum of the waits
+that have timed out since the last packet. An interruption of this process never increases this sum.
 """
 
 from __future__ import annotations
 
 import logging
+import threading
 from collections.abc import Callable
 
 from ..errors import BadValue, LinkTimeout
@@ -20,7 +21,7 @@ _ROUNDING = 1e-6
 
 
 class _Watch:
-    """Callback, and the seconds of silence after which it is called."""
+    """Callback, with the seconds of silence after which it is called."""
 
     def __init__(self, seconds: float, hook: Callable[[float], object]) -> None:
         self.seconds = seconds
@@ -31,7 +32,7 @@ class _Watch:
 class SilenceMonitor:
     """Sum of the silence of a peer.
 
-    One thread reports to it; any thread may add and remove watches.
+    Only one thread reports the results of waits. Any thread may add and remove watches.
 
     Args:
         name: Name of the stream, used in messages.
@@ -49,6 +50,9 @@ class SilenceMonitor:
         self._name = name
         self.limit = limit
         self._watches: tuple[_Watch, ...] = ()  # replaced, never changed
+        # Held while watches are replaced, and while `wait` is computed from them; not for each packet. Otherwise a
+        # watch of another thread, or its deadline, could be lost. Re-entrant for signal handlers.
+        self._changing = threading.RLock()
         self._quiet = 0.0
         self._unconfirmed = 0.0
         self.last = 0.0
@@ -67,11 +71,13 @@ class SilenceMonitor:
         if not (seconds > 0 and (self.limit is None or seconds <= self.limit)):
             raise BadValue(f"seconds={seconds!r}; expected a positive number, at most silence={self.limit}")
         watch = _Watch(seconds, hook)
-        self._watches = (*self._watches, watch)
-        self.wait = self._next_wait()
+        with self._changing:
+            self._watches = (*self._watches, watch)
+        self._plan()
 
         def remove() -> None:
-            self._watches = tuple(each for each in self._watches if each is not watch)
+            with self._changing:
+                self._watches = tuple(each for each in self._watches if each is not watch)
 
         return remove
 
@@ -82,7 +88,7 @@ class SilenceMonitor:
         self.last = now
         self._quiet = self._unconfirmed = 0.0
         self.is_quiet = False
-        self.wait = self._next_wait()
+        self._plan()
 
     def timed_out(self) -> None:
         """Record that the kernel has waited for `wait` seconds, and that nothing has arrived.
@@ -94,7 +100,7 @@ class SilenceMonitor:
             self.is_quiet = True
             self._quiet += self.wait
             self._tell(self._quiet, "nothing was received")
-            self.wait = self._next_wait()
+            self._plan()
 
     def no_packet(self, now: float) -> None:
         """Record that bytes arrived at `now` which do not complete a packet.
@@ -120,9 +126,11 @@ class SilenceMonitor:
         if self.limit is not None and quiet + _ROUNDING >= self.limit:
             raise LinkTimeout(f"{self._name}: {what} for {self.limit:g} s")
 
-    def _next_wait(self) -> float | None:
-        limits = [watch.seconds for watch in self._watches]
-        if self.limit is not None:
-            limits.append(self.limit)
-        left = [limit - self._quiet for limit in limits]
-        return min((seconds for seconds in left if seconds > _ROUNDING), default=None)
+    def _plan(self) -> None:
+        """Compute `wait`."""
+        with self._changing:
+            limits = [watch.seconds for watch in self._watches]
+            if self.limit is not None:
+                limits.append(self.limit)
+            left = [limit - self._quiet for limit in limits]
+            self.wait = min((seconds for seconds in left if seconds > _ROUNDING), default=None)

@@ -1,6 +1,7 @@
 """Counters of streams and subscriptions, so that no packet disappears silently.
 
-Each counter is incremented where its event happens, and none is computed from others. So their sums are a check:
+Each counter is incremented where its event happens, and no counter is computed from other counters. So the following
+sums are a check:
 
 - of a stream: ``received == decoded + failed``
 - of a subscription: ``offered == delivered + dropped + raised + waiting``
@@ -156,7 +157,7 @@ class StreamCounters:
         self._missing: Missing | None = None
         self._duplicates = 0
         # Queues of running loops, and the number of packets dropped by ended loops. The lock is re-entrant, because a
-        # loop may be garbage-collected in the middle of a change.
+        # loop might be garbage-collected in the middle of a change.
         self._loops: tuple[Loop, ...] = ()
         self._dropped = 0
         self._changing_loops = threading.RLock()
@@ -215,12 +216,12 @@ class StreamCounters:
 
     def next_window(self, now: float) -> None:
         """Compute the rate of the window that has ended, and start the next window."""
-        self._rate = (self.received - self._window_received) / (now - self._window_began)
+        began, received = self._window
+        self._rate = (self.received - received) / (now - began)
         self._begin_window(now)
 
     def _begin_window(self, now: float) -> None:
-        self._window_began = now
-        self._window_received = self.received
+        self._window = now, self.received  # replaced as a whole, because other threads read it
         self.window_ends = now + 1.0
 
     @property
@@ -236,11 +237,12 @@ class StreamCounters:
         missing, duplicates = self._missing, self._duplicates
         with self._changing_loops:
             dropped = self._dropped + sum(queue.overtaken for queue in self._loops)
-        protocol, rate, elapsed = self._protocol, self._rate, now - self._window_began
+        began, before = self._window
+        protocol, rate, elapsed = self._protocol, self._rate, now - began
         missing = _sum(missing, protocol)
         if elapsed > 2.0 or (not rate and elapsed > 0.5):
             # The last complete window is too old, or does not exist.
-            rate = (self.received - self._window_received) / elapsed
+            rate = (self.received - before) / elapsed
         return StreamStatistics(
             received=self.received,
             decoded=self.decoded,

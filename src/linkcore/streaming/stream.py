@@ -1,4 +1,4 @@
-"""`Stream`: the public interface to one interface of a peer."""
+"""Class `Stream`: the public interface to the packets of one interface of a peer."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ K = TypeVar("K")
 class Stream(Feed[T]):
     """The packets of one interface of a robot: iterate, subscribe, read the newest, or wait for the next.
 
-    A stream connects when it is first used. It reconnects automatically when the connection is lost, and keeps its
-    subscriptions meanwhile. You should close it. A stream that is garbage-collected without being closed is closed with
-    a `ResourceWarning`, but a stream to which a callback still refers keeps running.
+    A stream connects when it is first used. When the connection is lost, the stream reconnects automatically; its
+    subscriptions continue. You should close a stream when you no longer need it. A stream that is garbage-collected
+    without being closed is closed with a `ResourceWarning`, but a stream to which a callback still refers keeps
+    running.
     """
 
     @property
@@ -59,7 +60,7 @@ class Stream(Feed[T]):
         self._connection.start()
 
     def description(self) -> dict[str, Any]:
-        """Return the data that a recording needs, besides the name, to decode the bytes of this stream.
+        """Return the data that a recording needs in addition to the name to decode the bytes of this stream.
 
         JSON can represent the data.
 

@@ -1,4 +1,4 @@
-"""Subscribed callbacks, and the thread that calls each: a dedicated thread with a queue, or the reader of the stream.
+"""Subscribed callbacks. A dedicated thread with a queue calls each callback, or the reader of the stream calls it.
 
 The threads refer to a `Delivery` and never to a `Subscription`. So a stream without references can be garbage-collected
 while its threads still run.
@@ -136,7 +136,7 @@ class Delivery:
         age = clock.now() - last
         if age < deadline:
             return deadline - age
-        if self._reported != last:  # called once for each time
+        if self._reported != last:  # `on_deadline` is called once for each missed deadline
             self._reported = last
             self._miss(age)
         return deadline
@@ -231,7 +231,7 @@ class ThreadedDelivery(Delivery):
             elif self._queue.is_over:
                 return
             elif self._gather:
-                # No thread waits on the queue meanwhile, so the reader does not have to wake one.
+                # During this sleep, no thread waits on the queue, so the reader does not have to wake a thread.
                 clock.sleep(self._gather)
             elif deadline is not None:
                 wait = self._late(deadline)
@@ -251,9 +251,10 @@ class InlineDelivery(Delivery):
         offered: Number of packets that were offered.
     """
 
-    #: It gets packets after the queues, so that a slow inline callback does not delay subscribers with own threads.
+    #: Inline callbacks get packets after the queues, so that a slow callback does not delay subscribers with their own
+    #: threads.
     is_inline = True
-    #: It calls back at once, so no packet could be delivered later.
+    #: The callback is called at once, so no packet could be delivered later.
     makes_reader_wait = False
     dropped = expired = waiting = 0
 
@@ -268,7 +269,7 @@ class InlineDelivery(Delivery):
         self._counters = counters
         self.offered = 0
         # The reader sets its flag, and then checks whether this is closed. A thread that closes marks it closed, and
-        # then checks the flag. So one of the two notices the other, without a lock for each packet.
+        # then checks the flag. So at least one of the two threads notices the other, without a lock for each packet.
         self._is_closed = False
         self._reads_here = reads_here
         self._closing = threading.Condition()
@@ -346,10 +347,10 @@ class InlineDelivery(Delivery):
 
 
 class Subscription(StrictAttributes, Closing):
-    """Subscription of a callback, which gets packets in order, one at a time, until closed.
+    """Subscription of a callback. The callback gets packets in order, one at a time, until the subscription is closed.
 
-    `Stream.subscribe` returns it. It is a context manager that closes itself. You do not have to keep the object: the
-    callback is called for as long as the stream is open.
+    `Stream.subscribe` returns it. Use it as a context manager to close it at the end of a block. You do not have to
+    store the object: the callback is called for as long as the stream is open.
     """
 
     def __init__(self, delivery: Delivery, detach: Callable[[Delivery], object], owner: object) -> None:

@@ -1,9 +1,9 @@
-"""Count of the controller's cycles whose packets never arrived, based on the controller's own clock.
+"""Counting of the controller cycles whose packets never arrived, based on the controller's own clock.
 
 If a controller sends a packet in every cycle, each packet has the time of its cycle. If the times of two consecutive
 packets are several periods apart, packets are missing between them. The controller did not send these packets, or they
-were lost on the way. Arrival times cannot show this, because delayed packets arrive later, all at once, and none is
-missing.
+were lost on the way. Arrival times cannot show missing packets: packets that were only delayed arrive later, all at
+once, and none of them is missing.
 
 If a clock goes backwards, or jumps ahead by more than an hour, it is a different clock (`ANOTHER_CLOCK`), and nothing
 is counted. The same rule applies while packets are received (`MissedCycles`) and to columns of a recording (`gaps_of`).
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 #: Maximum step in s between two packets of one connection. A larger step shows that it is a different clock.
 ANOTHER_CLOCK = 3600.0
-#: Every comparison with it is false.
+#: NaN, because every comparison with NaN is false.
 _NO_TIME = float("nan")
 #: Part of a period by which the next packet may be late. The primary interface has a period of 12.5 cycles, and sends
 #: after 12 or 13 cycles (docs/protocols/primary.md, section Time stamps).

@@ -1,10 +1,10 @@
-"""The parts of a packet declaration: header, fields, the versions that send each field, and the shape of its values.
+"""Parts of a packet declaration: header, fields, versions that send each field, and shapes of the values.
 
-A peer is made in several generations that are maintained in parallel. A field might exist since 3.10, and in the next
-generation since 5.4. This is a single fact, written as ``"3.10/5.4"``.
+There are several generations of a peer, which are maintained in parallel. For example, a field exists since 3.10, and
+in the next generation since 5.4. This is written as ``"3.10/5.4"``.
 
 A shape is the coding of one field: numbers, coded numbers, a mask with two codings, text or raw bytes. It defines the
-number or the bytes on the wire, and their conversion to and from the value that users hold. The fast decoder is derived
+number or the bytes on the wire, and the conversion to and from the value that users get. The fast decoder is derived
 from the shape. The numbers have the names of construct, and `linkcore.wire.schema` builds the same packets from
 construct's numbers. A property test checks that both are equal.
 """
@@ -51,8 +51,8 @@ class Shape:
     Attributes:
         number: Type of the number on the wire, or of each number of an array; None for bytes of variable length.
         count: Number of elements of an array; None for a single value.
-        read: Function from a number, or from the bytes, to the value that users hold; None if this is the number
-            itself. It never fails.
+        read: Function that converts a number, or the bytes, to the value that users get. It never fails. None if this
+            value is the number itself.
     """
 
     number: Number | None
@@ -72,7 +72,7 @@ class Shape:
 
 
 class Number(Shape):
-    """A number in network byte order.
+    """Number in network byte order.
 
     Attributes:
         name: Name in construct.
@@ -134,7 +134,7 @@ class _Meanings(dict[float, Any]):
 
 
 class Coded(Shape):
-    """A number with a meaning: `Coded(Int8ub, JointMode)`, `Coded(Int8ub, bool)`.
+    """Number that is a code for another value, such as `Coded(Int8ub, JointMode)` or `Coded(Int8ub, bool)`.
 
     In a float shape, the code is a whole number in a float. Any other float has the code `NOT_A_CODE`.
     """
@@ -154,7 +154,7 @@ class Coded(Shape):
 
 
 class _Mask64(Shape):
-    """A mask in 64 bits, coded either as an integer or as an IEEE double of the same value.
+    """Bit mask in 64 bits, which is coded either as an integer or as an IEEE double with the same value.
 
     Public decoders of the UR real-time interface disagree on the coding, and no captured bytes of a robot decide it
     (docs/protocols/realtime.md, section Digital inputs and outputs). The two codings cannot be confused. As an integer,
@@ -178,7 +178,7 @@ class _Mask64(Shape):
     def write(self, value: Any) -> int:
         mask = int(value)
         if not 0 <= mask < 1 << 64:
-            raise OverflowError("a mask has 64 bits")
+            raise OverflowError("a mask must fit into 64 bits")
         return mask
 
 
@@ -186,7 +186,7 @@ Mask64 = _Mask64()
 
 
 class Raw(Shape):
-    """Bytes up to the end of the packet, or the number of bytes that `prefix` contains.
+    """Raw bytes: all bytes up to the end of the packet, or as many bytes as the number `prefix` states.
 
     `least` is the minimum number of bytes of the field. A layout that leaves fewer bytes for the field does not fit.
     """
@@ -247,8 +247,8 @@ def version_text(version: Version) -> str:
 class Since:
     """First version of each generation that has a feature, as in ``Since("3.10/5.4")``.
 
-    A version is compared with the entry of its own generation, or else of the nearest earlier generation. So if a
-    generation got a feature late, the next generation does not have it before its own entry.
+    A version is compared with the entry of the same generation, or else with the entry of the nearest earlier
+    generation. So if a later generation has an entry, its versions before that entry do not have the feature.
 
     >>> since = Since("3.10/5.4")
     >>> [version in since for version in [(1, 8), (3, 9), (3, 10), (5, 0), (5, 4), (10, 7)]]

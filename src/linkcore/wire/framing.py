@@ -1,15 +1,15 @@
-"""Conversion of bytes to frames, sans-IO: it cuts a byte stream at its frame boundaries, and finds lost boundaries.
+"""Conversion of a byte stream to frames, with search for lost frame boundaries, without sockets (sans-IO).
 
 Each protocol declares its `FrameBoundary`. The loop, the limits and the counting are the same for every protocol, and
-are defined here.
+are defined in this module.
 
 The work is linear in the number of received bytes, however they are divided into chunks. This also holds for bytes that
 an attacker has chosen. The examined position only moves forward. A boundary examines a limited number of bytes after
 it, and returns the number of bytes that it needs to decide.
 
 With the environment variable ``URLINK_STRICT=1``, which is read when this module is imported, decoding is strict: bytes
-that no layout describes are errors. Without it, these bytes are kept and counted. Strict decoding is for tests against
-new firmware, and not for operating a robot.
+that no layout describes are errors. Otherwise these bytes are kept and counted. Use strict decoding for tests against
+new firmware. Do not use it to operate a robot.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class FrameBoundary(Protocol):
 
     #: Upper limit of every `need`.
     largest: int
-    #: Number of further bytes to wait for before the next search, while the boundary is lost.
+    #: Number of further bytes that must arrive before the next search, while the boundary is lost.
     pace: int
     #: Size of every packet of the connection, once it is known; 0 if the size varies.
     size: int
@@ -70,11 +70,11 @@ class FrameBoundary(Protocol):
         """
 
     def peer(self, buffer: bytes | bytearray) -> str | None:
-        """Return the kind of an unexpected peer, as recognised from its first bytes, or None."""
+        """Return the kind of an unexpected peer if its first bytes show it; otherwise None."""
 
 
 class Framer:
-    """Framer that cuts a byte stream into packets.
+    """Framer that divides a byte stream into packets.
 
     While the boundary is lost, it searches again after `FrameBoundary.pace` more bytes. So a packet that is found might
     be delayed until these bytes have arrived.
@@ -92,7 +92,8 @@ class Framer:
     def __init__(self, boundary: FrameBoundary, *, limit: int | None = 1 << 16) -> None:
         self._boundary = boundary
         self._limit = limit
-        # Appending has an amortised cost, and so has removing from the front: no byte is copied again for each chunk.
+        # Appending to this buffer and removing from its front have an amortised cost: bytes are not copied again for
+        # each chunk.
         self._kept = bytearray()
         self._need: int  # number of bytes to collect before a decision is possible; set whenever bytes are kept
         self._is_lost = False
@@ -201,7 +202,7 @@ class Counting(Protocol):
 
 
 class PacketProtocol(Counting, Protocol):
-    """The protocol of one connection, sans-IO; a stream makes a new one each time it connects."""
+    """Protocol of one connection, without sockets (sans-IO). A stream makes a new object for each connection."""
 
     framer: Framer
     #: Counter of the missing cycles; None while the packets have no time of the peer's clock.

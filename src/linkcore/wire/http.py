@@ -1,4 +1,4 @@
-"""HTTP/1.1 messages, sans-IO: conversion of bytes to requests and responses, and back.
+"""HTTP/1.1 messages: conversion of bytes to requests and responses, and back. This module uses no sockets (sans-IO).
 
 Each connection carries one request and one response (`Connection: close`). A message consists of its headers and its
 body. The length of the body is given by `Content-Length`, by chunks, or, for a response, by the end of the connection.
@@ -24,8 +24,8 @@ _Reading: TypeAlias = Generator[None, None, _T]
 
 _END = b"\r\n"
 _VERSION = b"HTTP/1."
-# Each pattern either matches a field or fails without backtracking to another position. So the time is linear in the
-# length of a line. Before, `partition` and `strip` cut out the fields.
+# Each pattern either matches a field or fails without backtracking to another position. So the time is proportional to
+# the length of a line. `partition` and `strip` have already separated the fields.
 _REQUEST = re.compile(rb"([A-Z]{1,16}) (\S+) HTTP/1\.[01]")
 _RESPONSE = re.compile(rb"HTTP/1\.[01] ([0-9]{3})(?: ([^\r\n]*))?")
 _NAME = re.compile(rb"[!#$%&'*+\-.^_`|~0-9A-Za-z]+")
@@ -154,7 +154,7 @@ class HttpParser:
     def _response(self) -> _Reading[HttpResponse]:
         while not self._data.startswith(_VERSION):
             if not _VERSION.startswith(self._data):
-                raise self._error(f"it begins with {bytes(self._data[:80])!r}")
+                raise self._error(f"it begins with {bytes(self._data[:80])!r}; expected 'HTTP/1.1' and a status")
             yield
         while True:
             start, headers = yield from self._head(_RESPONSE)
@@ -173,17 +173,17 @@ class HttpParser:
         line = yield from self._line(what)
         start = pattern.fullmatch(line)
         if start is None:
-            raise self._error(f"it begins with {line[:80]!r}")
+            raise self._error(f"it begins with {line[:80]!r}, which is not a valid first line of HTTP/1.1")
         headers: dict[str, str] = {}
         while line := (yield from self._line(what)):
             key, colon, content = line.partition(b":")
             content = content.strip(b" \t")
             if not colon or not _NAME.fullmatch(key) or not _VALUE.fullmatch(content):
-                raise self._error(f"{line[:80]!r} is not a header")
+                raise self._error(f"{line[:80]!r} is not a header; expected 'name: value'")
             name, value = key.decode("ascii").lower(), content.decode("latin-1")
             if name in headers and headers[name] != value:
                 if name == "content-length":
-                    raise self._error(f"its headers give two lengths of its body: {headers[name]} and {value}")
+                    raise self._error(f"conflicting Content-Length headers: {headers[name]} and {value}")
                 value = f"{headers[name]}, {value}"
             headers[name] = value
         return start, headers
@@ -217,7 +217,7 @@ class HttpParser:
             line = yield from self._line(what)
             digits = line.partition(b";")[0].rstrip(b" \t")
             if not _CHUNK.fullmatch(digits):
-                raise self._error(f"{line[:80]!r} is not the size of a chunk")
+                raise self._error(f"{line[:80]!r} is not the size of a chunk; expected hexadecimal digits")
             size = int(digits, 16)
             yield from self._take(size)
             if size and (yield from self._line(what)):

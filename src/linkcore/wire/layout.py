@@ -1,7 +1,7 @@
-"""One order of fields on the wire, with its offsets, sizes, decoder, encoder and numpy dtype.
+"""Layout: one order of fields on the wire, with the offsets, the sizes, the decoder, the encoder and the numpy dtype.
 
-Everything in a `Layout` is derived from the declared fields, so nothing is written twice. A layout has the raw numbers
-and their offsets; the shapes define their meaning. A packet class makes its layouts automatically
+Everything in a `Layout` is derived from the declared fields, so nothing is declared twice. A layout defines the raw
+numbers and their offsets; the shapes define the meaning of the numbers. A packet class makes its layouts automatically
 (`linkcore.wire.state_layouts`). If the fields are known only at run time, a layout can be made directly::
 
     layout = Layout("DataPackage", [(field, field.shape) for field in fields], header)
@@ -29,14 +29,14 @@ NATIVE_DOUBLE = np.dtype("=f8")
 
 
 class Place:
-    """Place of one field in one layout.
+    """Position of one field in one layout.
 
     Attributes:
         field: Declaration of the field.
         shape: Shape of the field in this layout.
         number: Type of the number on the wire, or of each number of an array; None for bytes of variable length.
         count: Number of elements of an array; None for a single value.
-        offset: Offset of its first byte in the packet. Text before it is counted as empty.
+        offset: Offset of the first byte of the field in the packet. Text fields before this field are counted as empty.
         stride: Number of bytes from one element to the next.
         at: Index, or slice, among the unpacked values of the packet.
     """
@@ -46,7 +46,7 @@ class Place:
         self.shape = shape
         self.number = shape.number
         self.count = shape.count
-        # The layout sets these attributes, because they depend on the neighbours.
+        # The layout sets these attributes, because they depend on the neighbouring fields.
         self.offset = 0
         self.stride = self.width
         self.at: int | slice = 0
@@ -162,7 +162,7 @@ class Layout:
     def too_short(self, data: bytes) -> PacketError:
         """Return the error for `data` that cannot hold the fields."""
         return PacketError(
-            "packet too short",
+            "the packet is too short",
             packet=self.name,
             version=version_text(self.first),
             expected=self.size,
@@ -321,10 +321,10 @@ class Layout:
 
     @cached_property
     def dtype(self) -> np.dtype[Any]:
-        """The numpy dtype of the packet on the wire, header included.
+        """Numpy dtype of the packet on the wire, including the header.
 
-        Interleaved fields are in a nested dtype under the name of their group. Masks and codes stay numbers. The header
-        is omitted except for its size, which is `message_size`.
+        Interleaved fields are in a nested dtype under the name of their group. Masks and codes stay numbers. Of the
+        header, only the size field is included, as `message_size`.
 
         Raises:
             BadValue: If the packet contains text, so that its size varies.

@@ -7,9 +7,9 @@ first version that sends it::
     class CalibrationData(State):
         F: Vector = wire(Float64b[3], "N", "force")
 
-From this the decorator derives the properties. At the first use it makes one layout for each distinct order of fields,
-and the choice of the layout for a packet of a given size and version. A state *is* its bytes. The properties read from
-the bytes, so no data is lost, and two states are equal if their bytes are equal.
+From this declaration, the decorator derives the properties. At the first use, it makes one layout for each distinct
+order of fields, and the function that selects the layout for a packet of a given size and version. A state consists of
+its bytes. The properties read from the bytes, so no data is lost, and two states are equal if their bytes are equal.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .fields import Field, Header, Raw, Shape, Since, parse_version
 from .state import State as State
 from .state_layouts import StateLayouts, is_array_of_floats
 
-#: Read-only float64 array; its length is in the declaration of the field.
+#: Read-only float64 array. The declaration of the field states its length.
 Vector = npt.NDArray[np.float64]
 #: Read-only integer array.
 IntVector = npt.NDArray[np.integer[Any]]

@@ -1,4 +1,4 @@
-"""The layouts of packets as construct schemas, which parse and build packets, check their sizes, and dissect them.
+"""Construct schemas of packet layouts. They parse and build packets, check their sizes, and dissect them.
 
 The schemas are made from the same declarations as the fast decoders, but only construct reads them. So a property test
 can check on random bytes that both are equal, for every layout. `dissect` gets the meaning of each byte from a schema.
@@ -24,7 +24,7 @@ from .schema_text import PacketStruct, SizedPacket
 def as_construct(shape: Shape) -> Any:
     """Return the construct of one shape.
 
-    Its values are the values that users hold; arrays are lists.
+    Its values are the values that users get; arrays are lists.
     """
     if isinstance(shape, Number):
         return getattr(construct, shape.name)
@@ -128,7 +128,7 @@ def _element(shape: Shape) -> Shape:
 
 
 class Row(NamedTuple):
-    """One line of a dissection: a section of bytes and its meaning."""
+    """Line of a dissection: a section of bytes and the meaning of these bytes."""
 
     offset: int
     data: bytes

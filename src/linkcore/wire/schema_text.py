@@ -1,4 +1,7 @@
-"""Construct schemas as text, with the offset, type and unit of each field. `linkcore.wire.schema` imports it."""
+"""Construct schemas as text, with the offset, type and unit of each field.
+
+`linkcore.wire.schema` imports this module.
+"""
 
 from __future__ import annotations
 
@@ -67,7 +70,7 @@ def schema_text(title: str, schema: Any) -> str:
 def _size(schema: Any) -> int | None:
     try:
         return int(schema.sizeof())
-    except (construct.SizeofError, KeyError, AttributeError):  # it depends on another field
+    except (construct.SizeofError, KeyError, AttributeError):  # the size depends on another field
         return None
 
 

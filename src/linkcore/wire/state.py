@@ -1,4 +1,4 @@
-"""`State`: one decoded packet, typed, frozen, and backed by the received bytes.
+"""Class `State`: a decoded packet, which is typed, immutable, and stores the received bytes.
 
 `linkcore.wire.packet` makes the packet classes, which derive from it.
 """
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class State:
-    """One decoded packet: typed, frozen, and backed by the received bytes.
+    """Decoded packet. It has typed values, is immutable, and stores the received bytes.
 
     ``State(version, name=value, ...)`` makes a state for tests and simulators; fields without a value are zero. Equal
     states have equal bytes.
@@ -33,9 +33,9 @@ class State:
 
     #: Name -> declaration of the field, in the order of the declarations.
     FIELDS: ClassVar[Mapping[str, Field]] = {}
-    #: Layouts of the class, and the choice among them.
+    #: Layouts of the class, and the functions that select a layout.
     LAYOUTS: ClassVar[StateLayouts]
-    #: Whether it is an event that comes once, rather than a sample of a continuous quantity.
+    #: Whether a packet of this class is an event, which occurs once, and not a sample of a continuous quantity.
     IS_EVENT: ClassVar[bool] = False
 
     _data: bytes

@@ -1,4 +1,4 @@
-"""The layouts of one packet class: the decoder of each, and the choice among them by version and by size."""
+"""Layouts of one packet class: the decoder for each layout, and the selection of a layout by version and size."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _Single = tuple[Callable[[bytes, int], Any], int, Callable[[Any], Any] | None]
 
 
 class StateLayout(Layout):
-    """A layout with the typed values of a packet class.
+    """Layout with the typed values of a packet class.
 
     A state consists of its bytes. Decoding a packet only checks its size, and a field is read when it is accessed. If
     the packet contains text, whose place must be found, the whole packet is read when it is decoded.
@@ -78,7 +78,9 @@ class StateLayout(Layout):
         return decode
 
     def values(self, data: bytes) -> tuple[Any, ...] | None:
-        """Return the values that a state keeps from its decoding: of all fields if there is text, or else None.
+        """Return the values that a state stores when it is decoded.
+
+        They are the values of all fields if there is text, or else None.
 
         Raises:
             PacketError: If there is text, and the packet cannot hold it.
@@ -271,7 +273,7 @@ class StateLayouts:
         if found is None:
             steps = [step for step, block in self._by_version if block == has_block and step <= version]
             if not steps or (self._fields and not self._sent(version, has_block)):
-                raise PacketError("not sent by this firmware", packet=self._name, version=version_text(version))
+                raise PacketError("this firmware does not send it", packet=self._name, version=version_text(version))
             found = self._chosen[version, has_block] = self._by_version[max(steps), has_block]
         return found
 
@@ -302,7 +304,7 @@ class StateLayouts:
         fits = [layout for layout in candidates if layout.size <= size]
         if not fits:
             raise PacketError(
-                "packet too short",
+                "the packet is too short",
                 packet=self._name,
                 version=None if version is None else version_text(version),
                 expected=least,

@@ -24,12 +24,13 @@ _COMMANDS = {
     "completion": "linkcore.cli.completion",
 }
 
-_DESCRIPTION = "Read, drive, host and simulate mobile robots that run the Robot Hardware Daemon (RHD)."
+_DESCRIPTION = "Read, drive, host and simulate mobile robots that run the Robot Hardware Daemon (RHD) or use MQTT."
 
 _EPILOG = """\
 addresses:
     smr12              a robot, by host name or address; the default port is 24902
     localhost:8001     a robot on another port
+    mqtt://robobot     a robot with MQTT; the default port is 1883
 
 a first try, in two terminals:
   rhdlink turtle

@@ -1,4 +1,4 @@
-"""`python -m rhdlink.cli`: the `rhdlink` command, for systems on which it is not on the path."""
+"""`python -m rhdlink.cli` runs the `rhdlink` command on systems on which the command is not on the path."""
 
 import sys
 

@@ -1,10 +1,10 @@
-"""Options of a host, and serving until it ends; shared by `serve` and `turtle`."""
+"""Options of a host, and functions that run it until it ends, for the commands `serve` and `turtle`."""
 
 from __future__ import annotations
 
 import argparse
 from dataclasses import fields, replace
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from linkcore.cli.options import Row, argument, seconds
 from linkcore.cli.terminal import Interruption
@@ -15,9 +15,12 @@ from ..wire.decoder import Limits
 from ..wire.schema import WIDTHS
 from .options import tell
 
+if TYPE_CHECKING:
+    from ..mqtt.simulated import SimulatedRobobot
+
 
 def service_arguments(args: argparse.Namespace, limits: Limits) -> dict[str, Any]:
-    """Arguments of `Host` that were given, and the limits. Missing limits are taken from `limits`."""
+    """Return the arguments of `Host` that were given, and the limits. Missing limits are taken from `limits`."""
     # `turtle` has no option for the address.
     names = ("port", "address", "width", "resend", "client_timeout", "inactivity_timeout")
     given = {name: value for name in names if (value := getattr(args, name, None)) is not None}
@@ -76,22 +79,30 @@ def service_options(default: str) -> tuple[Row, ...]:
     )
 
 
-def serve_until_told(host: Host, what: str, duration: float | None) -> int:
-    """Serve until Ctrl-C, SIGTERM or the end of `duration`, then stop and print statistics. Return the exit status.
+def run_until_told(
+    robot: Host | SimulatedRobobot, what: str, duration: float | None, interruption: Interruption
+) -> None:
+    """Run a host or a simulated robot until Ctrl-C, SIGTERM, its own end or the end of `duration`.
 
     The address is printed on stdout when clients can connect.
+    """
+    with robot:
+        tell(f"{what}; Ctrl-C ends it; connect to")
+        print(robot.address, flush=True)
+        interruption.end_after(duration)
+        while not robot.wait(0.0) and not interruption.wait(0.1):
+            pass
+
+
+def serve_until_told(host: Host, what: str, duration: float | None) -> int:
+    """Serve as in `run_until_told`, and print statistics at the end. Return the exit status.
 
     Raises:
         PluginFailed: If a critical plugin fails.
         BadAddress: If the port is not available.
     """
     with Interruption() as interruption:
-        with host:
-            tell(f"{what}; Ctrl-C ends it; connect to")
-            print(host.address, flush=True)
-            interruption.end_after(duration)
-            while not host.wait(0.0) and not interruption.wait(0.1):
-                pass
+        run_until_told(host, what, duration, interruption)
         stats = host.stats
         tell(
             f"{stats.ticks} ticks, late by {1e3 * stats.late_median:.3f} ms (median) and {1e3 * stats.late_p99:.3f} ms "

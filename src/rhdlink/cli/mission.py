@@ -35,7 +35,7 @@ _VIEW = 0.2
     "run a script in SMR-CL",
     argument("file", metavar="FILE", nargs="?", help="the script"),
     one_of(
-        argument("--robot", metavar="ADDRESS", help="a host, or host:port (default port: 24902)"),
+        argument("--robot", metavar="ADDRESS", help="a host, host:port (default port: 24902), or mqtt://host"),
         argument(
             "--turtle",
             nargs="?",
@@ -82,6 +82,7 @@ def _run(args: argparse.Namespace) -> int:
     examples:
       rhdlink mission square.smr --turtle
       rhdlink mission square.smr --robot smr12 --trace
+      rhdlink mission line.smr --robot mqtt://192.168.0.55
       rhdlink mission spiral.smr --turtle --profile mrc --svg spiral.svg
       rhdlink mission dock.smr --turtle smr --floor floor.svg --start 1.5,2,0 --svg way.svg
       rhdlink mission --check square.smr
@@ -173,7 +174,7 @@ def _print(text: str) -> None:
 
 
 def _print_as_mrc(said: Said) -> None:
-    # Not escaped, because the lines come from the user's own script.
+    # Do not escape the lines, because they come from the user's own script.
     print(said.printed, end="", flush=True)
 
 

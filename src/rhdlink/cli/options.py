@@ -13,7 +13,7 @@ from ..client import Variables, connect
 
 #: Options for the address of a robot, and for the time to wait for it.
 ADDRESS = (
-    argument("address", metavar="ADDRESS", help="a host, or host:port (default port: 24902)"),
+    argument("address", metavar="ADDRESS", help="a host, host:port (default port: 24902), or mqtt://host"),
     argument(
         "--timeout",
         type=seconds,

@@ -19,7 +19,7 @@ class RecordingSummary:
         file: Name of the file.
         size: Size in bytes.
         is_complete: Whether the file was closed properly.
-        left_out: Number of bytes at its end that are unfinished or damaged.
+        left_out: Number of unfinished or damaged bytes at the end of the file.
         seconds: Time from the first batch to the last, in s.
         batches: Number of batches, including handshakes.
         connections: Number of connections.

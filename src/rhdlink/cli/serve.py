@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     """
     config = read_config(args.config)
     folder = str(Path(args.config).resolve().parent)
-    # Add the folder last, so that its files never shadow a module that is imported elsewhere.
+    # Add the folder at the end of the path, so that its files never hide a module that other code imports.
     sys.path.append(folder)
     try:
         host = Host.from_config(config, **service_arguments(args, config.limits))

@@ -1,4 +1,4 @@
-"""The world of a turtle for `turtle` and `mission`: its options, and a drawing of the path."""
+"""World of a turtle, for the commands `turtle` and `mission`: options, and a drawing of the path."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def pose(text: str) -> tuple[float, float, float]:
     return x, y, math.radians(degrees)
 
 
-#: The options of a turtle's world: tape, walls, and the turtle's pose.
+#: Options for the world of a turtle: tape, walls, and the pose of the turtle.
 WORLD = (
     argument(
         "--floor",

@@ -1,7 +1,7 @@
-"""The variables of a robot as text and as JSON: their words, and the meaning of the words.
+"""Variables of a robot as text and as JSON: their words, and the meaning of the words.
 
-A robot sends names and lengths, but no types and units. The ready-made classes declare types and units of conventional
-names. A declaration is used only if its direction and length match as well.
+A robot sends names and lengths of variables, but no types and units. The ready-made classes declare the types and units
+of conventional names. A declaration is used only if its direction and its length match the variable.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from linkcore.text import printable
 
 from ..client import Variables
 from ..errors import NotThere
-from ..robots import Ackerman, Gps, Smr, VelocityOmega
+from ..robots import Ackerman, Gps, Robobot, Smr, VelocityOmega
 from ..variables.declarations import Declaration
 from ..variables.snapshot import Update, Variable
 from ..variables.value_types import Bool, Float32, Float64, Int32, Int64, Millionths, Order, UInt32, ValueType
@@ -35,7 +35,7 @@ _MOST_WORDS = 16
 
 def _known() -> dict[tuple[str, str, int], Declaration[Any, Any]]:
     known: dict[tuple[str, str, int], Declaration[Any, Any]] = {}
-    for robot in (Smr, VelocityOmega, Ackerman, Gps):
+    for robot in (Smr, VelocityOmega, Ackerman, Gps, Robobot):
         for declaration in robot.declared().values():
             known.setdefault((declaration.direction, declaration.name, declaration.length), declaration)
     return known
@@ -58,7 +58,7 @@ def in_units(direction: str, name: str, words: Words) -> str:
 
 
 def words_of(value: int | Words) -> Words:
-    """Words of an undeclared variable, whose value is an int or an array (see `Variable`)."""
+    """Return the words of an undeclared variable. Its value is an int or an array; see `Variable`."""
     return np.atleast_1d(np.asarray(value, np.int32))
 
 

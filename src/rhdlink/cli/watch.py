@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import shlex
 
 from linkcore import clock
 from linkcore.cli.options import DURATION, argument, command, positive_int, seconds
 from linkcore.cli.progress import ProgressBar
-from linkcore.cli.terminal import Interruption, drawing
+from linkcore.cli.terminal import Interruption, drawing, quoted
 from linkcore.streaming.packet_queue import PacketQueue, drop_oldest
 from linkcore.text import strict_json
 
@@ -99,7 +98,7 @@ def _views(robot: Variables, args: argparse.Namespace, interruption: Interruptio
     seconds = clock.now() - begun
     rate = f" ({sync_thread.syncs / seconds:.1f}/s)" if seconds >= 1.0 else ""
     tell(f"watched for {seconds:.1f} s; {sync_thread.syncs} syncs{rate}, {robot.reconnects} reconnects")
-    tell(f"next: rhdlink record {shlex.quote(args.address)} drive.urlog records the robot's data")
+    tell(f"next: rhdlink record {quoted(args.address)} drive.urlog records the robot's data")
 
 
 def _view(robot: Variables, counter: RateCounter, names: frozenset[str]) -> View:

@@ -1,4 +1,4 @@
-"""The view of `rhdlink watch`: the variables, and how often each one is set.
+"""View of `rhdlink watch`: the variables, and how often each variable is set.
 
 The panel needs rich, which is imported only when a panel is drawn.
 """
@@ -114,7 +114,7 @@ class View:
 
 
 class RateCounter:
-    """Counts updates over a window of two seconds. Subscriptions call it, and the view reads it."""
+    """Counter of updates over a window of two seconds. Subscriptions call its methods, and the view reads its rates."""
 
     def __init__(self, began: float) -> None:
         self._lock = threading.Lock()
@@ -140,7 +140,7 @@ class RateCounter:
                 self._updates.clear()
 
     def rates(self, now: float) -> tuple[float | None, dict[str, float]]:
-        """Updates per second, and the same for each variable by name; None and {} in the first 0.5 s."""
+        """Return the updates per second, and the same for each variable by name; None and {} in the first 0.5 s."""
         with self._lock:
             self._forget(now)
             seconds = min(now - self._began, WINDOW)

@@ -1,4 +1,4 @@
-"""`rhdconfig.xml`: the file with the period, port and plugins of the original daemon and of a `Host`.
+"""Parser of `rhdconfig.xml`, the file with the period, port and plugins of the original daemon and of a `Host`.
 
 The elements are described in docs/protocols/rhd.md, Configuration file::
 
@@ -54,8 +54,8 @@ class Element:
         tag: Name of the element.
         attributes: Texts of the attributes, by name.
         children: Child elements, in order.
-        text: Characters in the element, stripped, without those of its children.
-        line: Line in the file where it begins; 0 if it comes from no file.
+        text: Characters in the element, stripped, without the characters of its children.
+        line: Line in the file where the element begins; 0 if the element is not from a file.
         source: Name of the file, used in messages.
     """
 
@@ -145,10 +145,10 @@ class PluginEntry:
     Attributes:
         name: Name of the element.
         lib: Class to load, ``package.module:Class``.
-        is_enabled: Whether it is enabled. Only the exact text "true" enables it, as in the original.
-        is_critical: Whether the host ends when it fails.
+        is_enabled: Whether the plugin is enabled. Only the exact text "true" enables it, as in the original.
+        is_critical: Whether the host ends when the plugin fails.
         safety: Rank among the plugins that run last, or 0.
-        config: Its element, with its own settings.
+        config: Element of the plugin, with the settings of the plugin.
     """
 
     name: str
@@ -164,7 +164,8 @@ class PluginEntry:
         This imports and runs code that the file names. The original loads a library in the same way.
 
         Raises:
-            BadConfiguration: If it is a C library, the module or class does not exist, or it cannot be created.
+            BadConfiguration: If `lib` is a C library, if the module or class does not exist, or if the plugin cannot be
+                created.
         """
         lib = self.lib
         if re.search(r"\.so(\.[0-9.]*)?$|\.dll$|\.dylib$", lib) or "/" in lib:
@@ -203,12 +204,12 @@ class Configuration:
         clients: Maximum number of connected clients.
         allwriters: Whether every client may write.
         synchronized: Whether each tick waits for the request of the master, for at most one period.
-        width: Words of a time stamp, 2 or 4, as the clients have it; ``<server> <width value="4"/>``. The original has
-            no such element: its width is the width of the machine that it was built for.
-        resend: Variables sent to a client, "changed" or "original"; ``<server> <resend value="original"/>``.
+        width: Number of words of a time stamp, 2 or 4, which must be the same as in the clients; ``<server> <width
+            value="4"/>``. The original has no such element: its width depends on the machine for which it was built.
+        resend: Variables that are sent to a client, "changed" or "original"; ``<server> <resend value="original"/>``.
         limits: Limits of requests; ``<server> <limits variables="100" length="64" words="1000" batch="4096"/>``.
         client_timeout, inactivity_timeout: Timeouts in seconds, see `Host`; ``<clients timeout="5" inactivity="10"/>``.
-        plugins: Plugins in the order of the file, including those that are not enabled.
+        plugins: Plugins in the order of the file, including plugins that are not enabled.
     """
 
     period: float = 0.01
@@ -246,7 +247,7 @@ def read_config(path: str | os.PathLike[str]) -> Configuration:
 
 
 def read_file(path: str | os.PathLike[str]) -> bytes:
-    """Return the bytes of a file; of a file that is too large, only enough to detect that.
+    """Return the bytes of a file. If the file is too large, return only enough bytes to detect this.
 
     Raises:
         BadConfiguration: If the file cannot be read.
@@ -340,14 +341,14 @@ def _entry(element: Element) -> PluginEntry:
         lib=lib,
         is_enabled=is_enabled,
         is_critical=element.attributes.get("critical") == "true",
-        # Only the attribute counts, because a plugin may have its own element of that name.
+        # Read only the attribute, because a plugin may have its own child element with this name.
         safety=replace(element, children=()).integer("safety", 0, least=0, most=127),
         config=element,
     )
 
 
 class _Open:
-    """An element whose end has not been parsed yet."""
+    """Element whose end has not been parsed yet."""
 
     def __init__(self, attributes: dict[str, str], line: int) -> None:
         self.attributes = attributes
@@ -357,7 +358,7 @@ class _Open:
 
 
 class _Tree:
-    """Builds the elements of one file, and stops at the first invalid part."""
+    """Builder of the elements of one file, which stops at the first invalid part."""
 
     def __init__(self, source: str) -> None:
         self._source = source

@@ -1,4 +1,4 @@
-"""`Host`: runs the plugins of a robot at each tick, and serves their variables to clients.
+"""Class `Host`, which runs the plugins of a robot at each tick, and serves their variables to clients.
 
 One tick, as in the original (docs/protocols/rhd.md, Server tick)::
 
@@ -24,11 +24,10 @@ from linkcore.threads import Runnable
 
 from ..address import Address
 from ..variables.database import Database, TimeStamp
-from ..variables.declarations import bind, create_variables
 from ..variables.value_types import wrapped
 from ..wire.decoder import Limits
 from .config import Configuration, Element, read_config
-from .plugin import Plugin, check_methods
+from .plugin import Plugin, check_methods, initialise
 from .server import Server, TickSchedule
 from .service import Resend, Service
 
@@ -100,35 +99,37 @@ class HostStatistics:
 
 
 class Host(StrictAttributes, Runnable):
-    """Runs plugins, and serves their variables to RHD clients, including programs made for the original.
+    """Host that runs plugins, and serves their variables to RHD clients, including programs made for the original.
 
     ::
 
         with Host([Turtle()], period=0.01, port=24902) as host:
             ...
 
-    A host runs only once: in the thread that calls `run`, or, with `start` or as a context manager, in its own thread.
+    A host runs only once. With `run`, it runs in the calling thread; with `start` or as a context manager, in its own
+    thread.
 
     Args:
-        plugins: Plugins, initialised in this order, and run in the reverse order, as in the original.
+        plugins: Plugins. They are initialised in this order, and run in the reverse order, as in the original.
         period: Period of the tick, in s.
         port: TCP port; 0 for a free one.
         address: Address to listen on; "" for every IPv4 address of this computer. Every client that can connect can
             drive the robot, so by default only clients on this computer can connect.
         clients: Maximum number of connected clients.
-        allwriters: Whether every client may write, rather than only the first one that asks.
+        allwriters: Whether every client may write. If False, only the first client that requests write access may
+            write.
         synchronized: Whether each tick waits for the request of the only writer, for at most one additional period.
-        pacing: When ticks occur. "period" makes them at a fixed period, "free" one after the other. "lockstep" makes
-            one with each request of the only writer, or of any client while there is no writer: deterministic, and as
-            fast as the client.
-        resend: Variables sent to a client: "changed" for those that were set since its last reply, "original" for all
-            that were ever set.
-        width: Words of a time stamp, 2 or 4, as the clients have it.
+        pacing: Time of each tick. With "period", ticks occur at a fixed period; with "free", one after the other. With
+            "lockstep", one tick occurs with each request of the only writer, or of any client while there is no writer.
+            Lockstep is deterministic, and as fast as the client.
+        resend: Variables that are sent to a client: "changed" for variables that were set since the last reply to this
+            client, "original" for all variables that were ever set.
+        width: Number of words of a time stamp, 2 or 4, which must be the same as in the clients.
         limits: Limits of the requests of clients.
-        client_timeout: Time, in seconds, that a client may leave a request incomplete or a reply unread. Then its
-            connection is closed.
-        inactivity_timeout: Time without a request, in seconds, after which a reader may lose its slot. It loses the
-            slot if all slots are taken and another client connects. The master keeps its slot.
+        client_timeout: Time, in seconds, for which a client may leave a request incomplete or a reply unread. After
+            this time, its connection is closed.
+        inactivity_timeout: Time without a request, in seconds, after which a reader may lose its slot. The reader loses
+            its slot if all slots are taken and another client connects. The master keeps its slot.
 
     Attributes:
         database: Variables; more can be created until the host runs.
@@ -175,7 +176,7 @@ class Host(StrictAttributes, Runnable):
         self._serving = functools.partial(
             Service, clients=clients, allwriters=allwriters, resend=resend, width=width, limits=limits
         )
-        # A service that cannot be provided fails here. Later it can fail only because of the plugins' declarations.
+        # If the service cannot be provided, fail here. Later, it can fail only because of the declarations of plugins.
         # Until the host runs, this service reports that there are no clients.
         self._service = self._serving(Database())
         self._place = (address, port)
@@ -246,7 +247,7 @@ class Host(StrictAttributes, Runnable):
 
     @property
     def port(self) -> int:
-        """Port that the host listens on.
+        """Port on which the host listens.
 
         Raises:
             Closed: If the host is not running.
@@ -257,7 +258,7 @@ class Host(StrictAttributes, Runnable):
 
     @property
     def address(self) -> str:
-        """Address of the host for programs on this computer, as for `rhdlink.connect`.
+        """Address of the host for programs on this computer, in the form for `rhdlink.connect`.
 
         Raises:
             Closed: If the host is not running.
@@ -330,12 +331,8 @@ class Host(StrictAttributes, Runnable):
         self._schedule = TickSchedule(self.period, clock.now())
 
     def _init(self, plugin: Plugin) -> None:
-        plugin.name = plugin.name or type(plugin).__name__.lower()
-        plugin.host = self
         try:
-            create_variables(type(plugin), self.database)
-            bind(plugin, self.database)
-            plugin.init(self._configs.get(id(plugin), Element(plugin.name)))
+            initialise(plugin, self, self._configs.get(id(plugin)))
         except Exception as error:
             # The plugin has not begun, so it is not terminated either: only the plugin itself knows what it opened.
             if plugin.is_critical:
@@ -368,7 +365,7 @@ class Host(StrictAttributes, Runnable):
         assert server is not None
         try:
             while True:
-                # First, even at the end: the last written values may be the command to stop.
+                # Call the plugins first, even at the end, because the last written values may be the command to stop.
                 self._call_plugins()
                 if not self._stops():
                     self._wait_for_tick(service, server)
@@ -400,7 +397,7 @@ class Host(StrictAttributes, Runnable):
 
     def _fail(self, plugin: Plugin, error: BaseException) -> None:
         self._failed.append(plugin.name)
-        # A new list, because the caller is iterating over the old one.
+        # Make a new list, because the caller iterates over the old list.
         self._running = [other for other in self._running if other is not plugin]
         if plugin.is_critical:
             _log.exception("critical plugin %s failed in periodic; the host ends", plugin.name)
@@ -411,7 +408,8 @@ class Host(StrictAttributes, Runnable):
 
     def _wait_for_tick(self, service: Service, server: Server) -> None:
         if self._pacing == "lockstep":
-            # No deadline: in lockstep, time does not advance until a request arrives; `stop` wakes the host.
+            # Wait without a deadline: in lockstep, time does not advance until a request arrives, and `stop` wakes the
+            # host.
             server.serve(None, lambda: self._is_stopping or service.is_asked)
             return
         if self._pacing == "free":
@@ -432,7 +430,7 @@ class Host(StrictAttributes, Runnable):
         return self._is_stopping
 
     def _simulated_time(self) -> TimeStamp:
-        """Return the time in lockstep, which is derived from the ticks."""
+        """Return the simulated time in lockstep, which is derived from the number of ticks."""
         return TimeStamp(*divmod(round(self.tick * self.period * 1e6), 1_000_000))
 
 

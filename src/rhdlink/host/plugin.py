@@ -1,4 +1,4 @@
-"""`Plugin`: a part of a robot that declares variables and updates them at each tick."""
+"""Class `Plugin`, a part of a robot that declares variables and updates them at each tick."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, Protocol
 from linkcore.errors import BadValue
 
 from ..variables.database import Database
-from ..variables.declarations import Declaration, Declarations, refuse_hiding
+from ..variables.declarations import Declaration, Declarations, bind, create_variables, refuse_hiding
 from .config import Element
 
 #: Methods that a host calls.
@@ -40,14 +40,14 @@ class PluginHost(Protocol):
 
     @property
     def plugins(self) -> Sequence[Plugin]:
-        """Plugins that it runs, in the order of initialisation."""
+        """Plugins that the object runs, in the order of initialisation."""
 
     def stop(self) -> object:
         """End properly, after the current tick."""
 
 
 class Plugin(Declarations):
-    """A part of a robot. To define one, derive a class::
+    """Part of a robot. To define a plugin, derive a class::
 
         class Battery(Plugin):
             battcapacity = Read(Int32, unit="mAh")
@@ -58,12 +58,12 @@ class Plugin(Declarations):
                 if self.is_updated(Battery.calibratebattery):
                     calibrate()
 
-    The variables are declared as in a client program, and seen from there: the plugin sets `Read` variables and reads
-    `Write` variables. If another plugin has already created a variable, both plugins share it.
+    The variables are declared as in a client program, from the view of the client: the plugin sets `Read` variables and
+    reads `Write` variables. If another plugin has already created a variable, both plugins share it.
 
     The host calls the three methods below in its own thread, one plugin after the other, and only they may use the
-    variables. Each call delays the tick, so long tasks need a separate thread of the plugin. A plugin must have
-    `periodic`, even if that does nothing; the other two methods are optional.
+    variables. Each call delays the tick, so long tasks need a separate thread of the plugin. A plugin must have the
+    method `periodic`, even if it does nothing; the other two methods are optional.
 
     Attributes:
         name: Name used in messages; by default the class name in lower case, or in a file the name of the element.
@@ -84,21 +84,26 @@ class Plugin(Declarations):
         refuse_hiding(cls, Plugin)
 
     def init(self, config: Element) -> None:
-        """Begin: open devices, set first values. Only here can the plugin create more variables in `host.database`.
+        """Begin: open devices, and set first values.
+
+        Only in this method can the plugin create more variables in `host.database`.
 
         Args:
             config: Element of the plugin in `rhdconfig.xml`; an empty element if there is no file.
         """
 
     def periodic(self, tick: int) -> None:
-        """Read the variables that programs have written, and set the variables for them.
+        """Read the variables that programs have written, and set the variables that programs read.
 
         Args:
             tick: Number of the last tick that was sent to clients; 0 in the first call.
         """
 
     def terminate(self) -> None:
-        """End: stop the motors, close devices. Called once for each plugin whose `init` returned, in reverse order."""
+        """End: stop the motors, and close devices.
+
+        It is called once for each plugin whose `init` has returned, in the reverse order.
+        """
 
     def is_updated(self, declaration: Declaration[Any, Any]) -> bool:
         """Whether a program has written the variable since the last `periodic`, even with the same value.
@@ -113,11 +118,27 @@ class Plugin(Declarations):
         return bool(table.updated[identity])
 
 
+def initialise(plugin: Plugin, host: PluginHost, config: Element | None = None) -> None:
+    """Create the variables of a plugin in the database of its host, and call `init`.
+
+    Args:
+        plugin: Plugin; it gets its default name if it has none.
+        host: Object that runs the plugin.
+        config: Element of the plugin in a configuration; None for an empty element.
+    """
+    plugin.name = plugin.name or type(plugin).__name__.lower()
+    plugin.host = host
+    create_variables(type(plugin), host.database)
+    bind(plugin, host.database)
+    plugin.init(Element(plugin.name) if config is None else config)
+
+
 def check_methods(plugin: Plugin) -> None:
     """Check that a host will call the methods of a plugin.
 
     Raises:
-        BadValue: If the plugin has no `periodic`, or a method whose name is a misspelling of one that a host calls.
+        BadValue: If the plugin has no `periodic`, or if it has a method whose name is a misspelt name of a method that
+            a host calls.
     """
     kind = type(plugin)
     own = [

@@ -1,8 +1,8 @@
-"""Objects in a turtle's world: walls, and tape on the floor that line sensors see.
+"""Objects in a turtle's world: walls, and tape on the floor that line sensors detect.
 
 Both consist of straight pieces. They are defined by points, or by an SVG drawing. Lines, polylines, polygons,
-rectangles and paths of a drawing are tape of the width of their strokes, and the colour of the stroke makes it black or
-white. Elements whose `class` contains "wall" are walls.
+rectangles and paths of a drawing become tape. The width of the stroke is the width of the tape, and the colour of the
+stroke determines whether the tape is black or white. Elements whose `class` contains "wall" are walls.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _WIDTH = 0.038
 
 @dataclass(frozen=True)
 class Tape:
-    """A line on the floor.
+    """Tape on the floor, which forms a line.
 
     Attributes:
         points: Points on its centre line, in m; at least two.
@@ -62,7 +62,7 @@ class Tape:
 
 
 class Scene:
-    """Tape on the floor, and walls.
+    """Scene with tape on the floor, and walls.
 
     Args:
         tapes: Tapes; each one covers the tapes before it.
@@ -143,7 +143,7 @@ class _Segments:
         return nearest
 
     def hit(self, x: float, y: float, dx: float, dy: float) -> float:
-        """Return how often (dx, dy) can be added to a place before a piece is met; inf if there is none."""
+        """Return the multiple of (dx, dy) by which a point can move before it meets a piece; inf if it meets none."""
         if len(self._few) == len(self._start):
             return self._hit_few(x, y, dx, dy)
         to_x, to_y = self._start[:, 0] - x, self._start[:, 1] - y
@@ -156,7 +156,7 @@ class _Segments:
         return float(met.min()) if len(met) else math.inf
 
     def _hit_few(self, x: float, y: float, dx: float, dy: float) -> float:
-        """Do the same as `hit`. For up to about 20 pieces, this is faster than arrays."""
+        """Do the same as `hit`, with a loop. For up to about 20 pieces, this is faster than arrays."""
         nearest = math.inf
         for start_x, start_y, way_x, way_y in self._few:
             across = dx * way_y - dy * way_x
@@ -248,7 +248,7 @@ def _shape(element: Element) -> Iterator[list[Point]]:
         yield from _path(element)
 
 
-#: Count of numbers that each command of a path takes.
+#: Command of a path -> number of coordinates that it takes.
 _TAKEN = {"M": 2, "L": 2, "H": 1, "V": 1, "C": 6, "Q": 4, "Z": 0}
 
 

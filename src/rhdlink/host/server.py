@@ -1,22 +1,22 @@
-"""Ticks of a host, when each is due and how late it is, and its connections, which are served between two ticks.
+"""Schedule of the ticks of a host, and the server for its connections, which are served between two ticks.
 
 The bytes of `service` are sent and received with linkcore's selector loop, at most until the next tick. No code here
-waits for a client. Data that a client has not read are kept in memory. These are at most its handshake or one batch,
-because no more requests of the client are processed until it has read them. A client has `client_timeout` seconds to
-complete a message that it has begun to send, and to read data sent to it. More bytes of the same request do not extend
-this time.
+waits for a client. Data that a client has not read are kept in memory. They never exceed the client's handshake or one
+batch, because no more requests of the client are processed until it has read these data. A client has `client_timeout`
+seconds to complete a message that it has begun to send, and to read data sent to it. More bytes of the same request do
+not extend this time.
 """
 
 from __future__ import annotations
 
 import logging
 import math
-from collections import deque
 from collections.abc import Callable
 
 import numpy as np
 
 from linkcore.net.loop import Connection, Handler, SelectorLoop
+from linkcore.threads import Newest
 
 from .service import Client, Service
 
@@ -25,11 +25,11 @@ _REMEMBERED = 4096
 
 
 class TickSchedule:
-    """Ticks at a fixed period.
+    """Schedule of ticks at a fixed period.
 
     Each tick is due at its own absolute time, so that delays do not add up. A tick that is more than a period late
-    counts as an overrun. The whole periods that it missed are skipped and counted, but not repeated, because a robot
-    that gets three ticks in a row would take three steps at once.
+    counts as an overrun. The periods that this tick has missed are skipped and counted, but not repeated, because with
+    three ticks in a row, a robot would make three steps at once.
 
     Args:
         period: Period in seconds.
@@ -48,7 +48,8 @@ class TickSchedule:
         self.skipped = 0
         self.worst = 0.0
         self._period = period
-        self._late: deque[float] = deque(maxlen=_REMEMBERED)
+        # The thread of the host adds the delays.
+        self._late: Newest[float] = Newest(_REMEMBERED)
 
     def advance(self) -> float:
         """Advance to the next tick, and return the time when it is due."""
@@ -62,7 +63,7 @@ class TickSchedule:
     def came(self, now: float) -> None:
         """Record that the tick has come."""
         late = now - self.due
-        self._late.append(late)
+        self._late.add(late)
         self.worst = max(self.worst, late)
         if late > self._period:
             periods = int(late / self._period)
@@ -72,8 +73,7 @@ class TickSchedule:
 
     def lateness(self) -> tuple[float, float]:
         """Return the median and the 99th percentile of the last 4096 delays, in seconds. Callable from any thread."""
-        # The host's thread may be adding to the deque. Copying it is a single step, but iterating would fail then.
-        late = list(self._late.copy())
+        late = self._late.copy()
         if not late:
             return 0.0, 0.0
         median, p99 = np.percentile(late, (50, 99)).tolist()
@@ -87,13 +87,13 @@ MOST_NEW = 32
 
 
 class Server:
-    """Listens on a port, and transfers bytes between connections and a service.
+    """Server that listens on a port, and transfers bytes between connections and a service.
 
     Args:
         service: Service that interprets the bytes.
         host: Address to listen on.
         port: Port number; 0 for a free one.
-        client_timeout: Time, in seconds, that a client may leave a message incomplete or unread.
+        client_timeout: Time, in seconds, for which a client may leave a message incomplete or unread.
         inactivity_timeout: Time without a request, in seconds, after which a reader may lose its slot to a new client.
 
     Attributes:
@@ -101,7 +101,7 @@ class Server:
         evicted: Number of readers that lost their slot.
 
     Raises:
-        BadAddress: If it cannot listen on the address.
+        BadAddress: If the server cannot listen on the address.
     """
 
     def __init__(
@@ -139,7 +139,7 @@ class Server:
 
         Data that have already arrived are processed once in any case.
         """
-        # First without waiting: a request that was sent ahead of the previous reply may already be enough.
+        # First serve without waiting, because a request that was sent before the previous reply may already be enough.
         self._loop.serve_once(self._loop.time())
         while not is_enough() and (until is None or self._loop.time() < until):
             self._loop.serve_once(until)
@@ -153,8 +153,8 @@ class Server:
     def resume(self) -> None:
         """Update all clients after a sync and its replies.
 
-        Read again from clients that had sent ahead, restart the time of clients that did not read, and close clients
-        that sent invalid data.
+        Read again from clients that have sent requests ahead of the replies, restart the timeout of clients that did
+        not read, and close clients that have sent invalid data.
         """
         for handler in list(self._handlers.values()):
             handler.update()
@@ -169,7 +169,8 @@ class Server:
             self._evict()
         client = self._service.connect(connection.name)
         if client is None:
-            # Closed immediately and without a byte, as in the original (docs/protocols/rhd.md, Handshake).
+            # Close the connection immediately and without a byte, as in the original (docs/protocols/rhd.md,
+            # Handshake).
             return None
         new = [handler for handler in self._handlers.values() if handler.client.access is None]
         if len(new) >= MOST_NEW:
@@ -192,7 +193,8 @@ class _ClientHandler(Handler):
     """Handler of one connection.
 
     Attributes:
-        asked: Time of its last complete request, or of its handshake, on the loop's clock; unset before the handshake.
+        asked: Time of the client's last complete request, or of its handshake, on the loop's clock; unset before the
+            handshake.
     """
 
     asked: float
@@ -229,7 +231,7 @@ class _ClientHandler(Handler):
             self.client.is_reading = False  # the service asks for no more while data are pending
 
     def update(self) -> None:
-        """Act on the client's state: close it, read from it or not, and start or stop its timeout."""
+        """Apply the state of the client: close the connection, start or stop reading, and start or stop the timeout."""
         client, connection = self.client, self.connection
         if not connection.is_open:
             return

@@ -1,8 +1,9 @@
-"""A variable database served to many clients, sans-IO: which clients may write, and what each client is sent.
+"""Service that offers a variable database to many clients, without sockets (sans-IO).
 
-`Server` delivers the bytes of each connection and sends the replies. A request is answered at the next `sync`, as in
-the original. Plugins see the written values in the tick that follows, and the values that they set then are part of the
-next reply (docs/protocols/rhd.md, Server tick).
+The service decides which clients may write, and makes the reply to each client. `Server` delivers the bytes of each
+connection and sends the replies. A request is answered at the next `sync`, as in the original. Plugins see the written
+values in the tick that follows, and the values that they set then are part of the next reply (docs/protocols/rhd.md,
+Server tick).
 """
 
 from __future__ import annotations
@@ -24,27 +25,27 @@ from ..wire.schema import WORD
 
 _log = logging.getLogger(__name__)
 
-#: Read variables in a reply: variables that were set since the client's last reply, or, as in the original, all
-#: variables that were ever set.
+#: Read variables in a reply: "changed" for variables that were set since the client's last reply, or "original" for all
+#: variables that were ever set, as in the original.
 Resend = Literal["changed", "original"]
 
-#: Maximum number of bytes stored for a client that sends ahead of the replies.
+#: Maximum number of bytes that are stored for a client that sends requests ahead of the replies.
 AHEAD = 4096
 
 
 class Client:
-    """One client.
+    """Client of a service.
 
     Attributes:
         name: Address and port, used in messages.
-        slot: Number of its slot; None until access has been granted, and after it has disconnected.
+        slot: Number of the client's slot; None until access has been granted, and after the client has disconnected.
         access: Granted access, "r" or "w"; None before.
         request: Request for the next sync; None if no request is complete.
-        requests: Number of requests that it has completed.
-        refused_writes: Number of values that it sent without permission to write.
-        failure: Reason why its connection must be closed, or None.
-        is_reading: Whether it has read all sent data; if not, nothing more is sent.
-        dirty_read: Read variables that it has not been sent yet; exists after access has been granted.
+        requests: Number of requests that the client has completed.
+        refused_writes: Number of values that the client has sent without permission to write.
+        failure: Reason why the connection must be closed, or None.
+        is_reading: Whether the client has read all sent data. If not, nothing more is sent.
+        dirty_read: Read variables that were not sent to the client yet; exists after access has been granted.
         dirty_write: The same for write variables that other clients have set.
     """
 
@@ -69,24 +70,26 @@ class Client:
 
     @property
     def is_asking(self) -> bool:
-        """Whether it has a request that the next sync will take."""
+        """Whether the client has a request that the next sync will answer."""
         return self.request is not None and self.is_reading
 
     @property
     def may_send(self) -> bool:
-        """Whether more of its data should be read while one request is complete."""
+        """Whether more data of the client should be read although one request is complete."""
         return self.request is None or self.decoder.waiting <= AHEAD
 
 
 class Service:
-    """Serves one database.
+    """Service for one database.
 
     Args:
         database: Variables; frozen from now on.
         clients: Maximum number of connected clients.
-        allwriters: Whether every client that asks for it may write, rather than only the first one.
+        allwriters: Whether every client that requests write access may write. If False, only the first such client may
+            write.
         resend: Read variables in a reply: "changed" or "original".
-        width: Words of a time stamp, 2 or 4. It applies to all clients, because their requests do not show it.
+        width: Number of words of a time stamp, 2 or 4. It applies to all clients, because their requests do not show
+            their width.
         limits: Limits of a request; by default slightly more than all write variables at once.
 
     Attributes:
@@ -212,14 +215,15 @@ class Service:
     def _grant(self, client: Client, wanted: str) -> bytes:
         if self.is_full:
             self.refused_clients += 1
-            client.failure = "all slots were taken meanwhile"
+            client.failure = "no free slot was left when access was requested"
             return b""
-        # A second writer becomes a reader and is notified of that. The original does not answer (docs/protocols/rhd.md,
-        # Defects, 7).
+        # A second writer becomes a reader, and the reply shows this. The original does not answer
+        # (docs/protocols/rhd.md, Defects, 7).
         client.access = "w" if wanted == "w" and (self._allwriters or not self.writers) else "r"
-        # Values set before now are news only to the other clients: this client gets all of them with its handshake.
+        # Mark earlier values as new only for the other clients, because this client gets all values with its handshake.
         self._spread_dirty()
-        # The lowest free slot, as in the original: replies of a tick are sent in the order of slots.
+        # Take the lowest free slot, as in the original, because the replies of a tick are sent in the order of the
+        # slots.
         client.slot = self._slots.index(None)
         self._slots[client.slot] = client
         database = self._database
@@ -254,11 +258,12 @@ class Service:
         for client in self.clients:
             if client.request is None or not client.is_reading or client.failure is not None:
                 continue
-            # One request of each client per tick: requests sent ahead are taken in the next tick (Sync cycle).
+            # Answer one request of each client per tick; requests that were sent ahead are answered in the next tick
+            # (Sync cycle).
             request, client.request = client.request, None
             taken.append(client)
             if request.data:
-                # It does not matter whether it requests as a reader or a writer, because a writer may send `rr`.
+                # The kind of the request does not matter, because a writer may also send `rr`.
                 if client.access == "w":
                     for data in request.data:
                         self._write(client, data, written)
@@ -275,7 +280,7 @@ class Service:
                     client.dirty_write.add_many(data.ids, ordered=data.selection.is_ordered)
         replies = self._replies(ready, sole)
         for client in taken:
-            # The client may have sent ahead.
+            # The client may have sent the next request ahead.
             if client.decoder.waiting:
                 try:
                     self._take_request(client)
@@ -307,7 +312,8 @@ class Service:
         ever_set = np.flatnonzero(read.updated) if self._resend == "original" else None
         replies = []
         for client in ready:
-            # Values that others wrote before it became the only writer stay pending until it is no longer the only one.
+            # Values that others wrote before the client became the only writer stay pending until there are other
+            # writers again.
             own = b"" if client is sole else packages.of(write, client.dirty_write.take())
             news = client.dirty_read.take()
             ids = news if ever_set is None else ever_set
@@ -316,7 +322,7 @@ class Service:
 
 
 class _Packages:
-    """Data packages of one tick. Each is made only once, however many clients receive it."""
+    """Data packages of one tick. Each package is made only once, even if many clients receive it."""
 
     def __init__(self, width: int) -> None:
         self._width = width

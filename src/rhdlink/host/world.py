@@ -1,4 +1,4 @@
-"""A walled square with one robot in it: position and motion of the robot, its path, and a picture of it.
+"""World of a turtle: a walled square with one robot. It computes the motion of the robot, and draws its path.
 
 x points to the right, y points up, and theta is counter-clockwise, in metres and radians. Pictures are written as SVG,
 or as PNG if matplotlib is installed.
@@ -48,10 +48,10 @@ class Moved(NamedTuple):
 
 
 class World:
-    """A square with walls, and one robot in it, which is a point.
+    """Square with walls, and one robot in it. The robot is a point.
 
-    Steps follow the midpoint rule: the robot drives straight along the heading that it has half-way through the turn.
-    With this rule, the recorded drives of the original programs are reproduced to the last digit.
+    Steps follow the midpoint rule: the robot drives straight along its heading at the middle of the turn. With this
+    rule, the recorded drives of the original programs are reproduced to the last digit.
 
     Args:
         size: Length of a wall, in m.
@@ -126,7 +126,7 @@ class World:
     def brightness(self, ahead: float, aside: Sequence[float]) -> npt.NDArray[np.float64]:
         """Return the brightness of the floor `ahead` m before the robot, at places `aside` m to its left.
 
-        A line sensor sees 0 for black and 1 for white.
+        The brightness is 0 for black and 1 for white.
         """
         if self.scene is None:
             return np.ones(len(aside))
@@ -159,7 +159,8 @@ class World:
 
 def _until(place: float, speed: float, size: float) -> float:
     """Return the time until a coordinate leaves the range from 0 to `size`."""
-    # A robot that drives along a wall has a cosine of about 6e-17 towards it, and must not get stuck at it.
+    # For a robot that drives along a wall, the cosine of the angle to the wall is about 6e-17. Such a robot must not
+    # stop.
     if abs(speed) < 1e-12:
         return math.inf
     return max((size - place) / speed if speed > 0.0 else -place / speed, 0.0)

@@ -1,9 +1,9 @@
-"""The numbers of SMR-CL: doubles with C's results, even if Python would raise an exception.
+"""Arithmetic of SMR-CL: doubles, with the same results as in C even if Python would raise an exception.
 
 Python raises an exception for some operations that return inf or nan in C (``1/0``, ``ln(0)``, ``exp(1000)``), so all
-of them are wrapped. Arithmetic never ends a script. Angles and remainders are reduced by repeated addition as in MRC,
-because the last bits of a result depend on it. A value that would need more than `REDUCTION_STEPS` steps is reduced in
-one step.
+these operations are wrapped. Arithmetic never ends a script. Angles and remainders are reduced by repeated addition as
+in MRC, because the last bits of a result depend on it. A value that would need more than `REDUCTION_STEPS` steps is
+reduced in one step.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _NUMBER = re.compile(
 
 
 def parse_number(text: str, start: int = 0) -> tuple[float, int] | None:
-    """Number at `start`, and the index after it; None if there is no number."""
+    """Return the number at `start`, and the index after it; None if there is no number."""
     found = _NUMBER.match(text, start)
     if found is None:
         return None
@@ -42,9 +42,9 @@ def parse_number(text: str, start: int = 0) -> tuple[float, int] | None:
 
 
 def leading_number(text: str) -> float | None:
-    """Number at the start of a text, as C's scanf and atof read it.
+    """Return the number at the start of a text, as C's scanf and atof read it.
 
-    It can have a sign. None if there is no number.
+    The number can have a sign. Return None if there is no number.
     """
     text = text.lstrip(" \t\r\n\v\f")
     has_sign = text[:1] in ("-", "+")
@@ -67,7 +67,7 @@ def truncate(value: float) -> int:
 
 
 def sign(value: float) -> float:
-    """-1.0 below zero, otherwise 1.0; zero and nan count as positive."""
+    """Return -1.0 for a number below zero, otherwise 1.0; zero and nan count as positive."""
     return -1.0 if value < 0.0 else 1.0
 
 

@@ -1,4 +1,4 @@
-"""Find errors of a script before it runs: every line is parsed and checked.
+"""Checks that find the errors in a script before it runs. Every line is parsed and checked.
 
 Whether a system variable exists depends on the robot, so this is checked only if a robot is given.
 """
@@ -34,7 +34,7 @@ def check(
     checks_numbers: bool = True,
     system: Collection[str] | None = None,
 ) -> list[Mistake]:
-    """List every mistake in a script, in the order of its lines.
+    """Return every mistake in a script, in the order of its lines.
 
     Args:
         plan: Lines of the script.

@@ -1,4 +1,4 @@
-"""The commands of the language: one row each, with parameters and function.
+"""Table of the commands of the language. Each command has one row, with its parameters and its function.
 
 MRC checks the number of parameters, but not their kinds. This module checks both, before a script runs and when a line
 is executed. To add a command, write a function, a row below, and a row of the page on SMR-CL.
@@ -45,25 +45,25 @@ _NUMBERS = frozenset((_NUMBER, _LENGTH))
 
 @dataclass(frozen=True)
 class ScriptCommand:
-    """A row of the table.
+    """Row of the table of commands.
 
     Attributes:
         name: Name of the command.
-        carry_out: Function that executes the command. It is called with a `MissionEffects` and the parameters, each a
+        execute: Function that executes the command. It is called with a `MissionEffects` and the parameters, each a
             float or a str.
-        kinds: Kinds of its parameters.
+        kinds: Kinds of the parameters.
         optional: Number of parameters at the end that can be omitted.
         repeats: Whether the last parameter can be repeated.
         needs_condition: Example of the command with the stop condition that it needs; "" if it needs none.
-        hook: Text that MRC prints without the hardware. A function of the user can execute such a command; see
-            `Mission.on`. None for a command that no function replaces.
+        hook: Text that MRC prints if the hardware is missing. A function of the user can execute such a command; see
+            `Mission.on`. None if no function can execute the command.
 
     Raises:
         TypeError: If the function does not accept these parameters.
     """
 
     name: str
-    carry_out: Callable[..., Outcome]
+    execute: Callable[..., Outcome]
     kinds: tuple[ParameterKind, ...] = ()
     optional: int = 0
     repeats: bool = False
@@ -71,7 +71,7 @@ class ScriptCommand:
     hook: str | None = None
 
     def __post_init__(self) -> None:
-        signature = inspect.signature(self.carry_out)
+        signature = inspect.signature(self.execute)
         for count in (self.least, self.most):
             try:
                 signature.bind(None, *range(count))
@@ -100,7 +100,7 @@ class ScriptCommand:
         return f"{self.least} to {self.most} parameters"
 
     def kind(self, number: int) -> ParameterKind:
-        """Kind of a parameter, counted from 0. A parameter too many has the kind of the last one."""
+        """Return the kind of a parameter, counted from 0. Additional parameters have the kind of the last parameter."""
         return self.kinds[min(number, len(self.kinds) - 1)] if self.kinds else ParameterKind.ANY
 
     def mistakes(self, statement: CommandStatement, values: Sequence[object], *, checks_numbers: bool) -> Iterator[str]:

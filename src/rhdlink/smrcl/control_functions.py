@@ -1,4 +1,4 @@
-"""The control functions of MRC: parameters (`setpar`) and routed inputs (`routeinput`)."""
+"""Control functions of MRC: parameters (`setpar`) and routed inputs (`routeinput`)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from operator import attrgetter
 
 from .motion.control import MotionControl
 
-#: Parameters, by module, function and name: the attribute of `MotionParameters`.
+#: (module, function, name) of a parameter -> attribute of `MotionParameters`.
 _PARAMETERS: Mapping[tuple[str, str, str], str] = {
     ("motioncontrol", "followwall", "gain"): "wall_gain",
     ("motioncontrol", "followwall", "alfa"): "wall_alfa",
@@ -19,8 +19,8 @@ _PARAMETERS: Mapping[tuple[str, str, str], str] = {
     ("motioncontrol", "drivetopoint", "evalmethod"): "evaluation",
 }
 
-#: Inputs, by module, function and name: whether they are read before the script, and the set attribute of
-#: `ControlFunctions`.
+#: (module, function, name) of an input -> whether it is read before the script, and the attribute of `ControlFunctions`
+#: that it sets.
 _INPUTS: Mapping[tuple[str, str, str], tuple[bool, str]] = {
     ("mrc", "odoconnect", "dth"): (True, "heading"),
     ("mrc", "odoconnect", "steeringangle"): (True, "steering_angle"),
@@ -38,7 +38,7 @@ _INPUTS: Mapping[tuple[str, str, str], tuple[bool, str]] = {
     ("motioncontrol", "drive", "refy"): (False, "control.reference.y"),
     ("motioncontrol", "drive", "refth"): (False, "control.reference.th"),
 }
-#: The control functions of each module.
+#: Module -> its control functions.
 CONTROL_FUNCTIONS: Mapping[str, frozenset[str]] = {
     "motioncontrol": frozenset(("followwall", "drivetopoint", "drive", "movetoxyz")),
     "mrc": frozenset(("odoconnect", "motionconnect", "mrccontrol")),
@@ -46,7 +46,7 @@ CONTROL_FUNCTIONS: Mapping[str, frozenset[str]] = {
 
 
 class ControlFunctions:
-    """The control functions of a robot.
+    """Control functions of a robot.
 
     Args:
         control: Motion control of the robot.
@@ -61,7 +61,7 @@ class ControlFunctions:
     def __init__(self, control: MotionControl) -> None:
         self.control = control
         self.heading = self.steering_angle = self.stop = 0.0
-        # Owner and name of the attribute, and the index in the pool, by the path in `_INPUTS`.
+        # Path in `_INPUTS` -> owner and name of the attribute, and the index in the pool.
         self._sensed: dict[str, tuple[object, str, int]] = {}
         self._acted: dict[str, tuple[object, str, int]] = {}
 

@@ -1,6 +1,6 @@
-"""The main loop of a mission, with one cycle per answer of the robot.
+"""Main loop of a mission, with one cycle for each answer of the robot.
 
-It needs no robot, clock or thread.
+The loop needs no robot, clock or thread.
 
 ::
 
@@ -12,8 +12,8 @@ It needs no robot, clock or thread.
         request = controller.step(raw)         # the variables to write next
     exchange(request)                          # the robot stops
 
-The order within a cycle is the same as in MRC: sensors, odometry, script, motion control, watches, log. The values
-written in a cycle act on the robot from its next answer.
+The order within a cycle is the same as in MRC: sensors, odometry, script, motion control, watches, log. Values that are
+written in a cycle affect the next answer of the robot.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ _WARM_UP = 20
 
 
 class CycleProgram(Protocol):
-    """The program of a controller: a script, or a dialogue with clients."""
+    """Program of a controller: a script, or a dialogue with clients."""
 
     @property
     def run(self) -> Run | None:
-        """The plan that is executed."""
+        """Plan that is executed."""
 
     def step(self) -> bool:
         """Perform one cycle. Return whether the program has ended."""
@@ -52,10 +52,10 @@ class CycleProgram(Protocol):
 
 @dataclass
 class PlanProgram:
-    """One plan, executed once.
+    """Program that executes one plan once.
 
     Attributes:
-        interpreter: Interpreter that executes its lines.
+        interpreter: Interpreter that executes the lines of the plan.
         run: Execution of the plan.
     """
 
@@ -68,7 +68,7 @@ class PlanProgram:
 
 
 class MissionController:
-    """Executes a mission cycle by cycle.
+    """Controller that executes a mission cycle by cycle.
 
     Args:
         conf: Description of the robot.
@@ -86,8 +86,8 @@ class MissionController:
         effects: Objects that commands use.
         failure: Failure that ended the mission early; None if there was none.
         is_finished: Whether the mission has ended. The last result of `step` then stops the robot.
-        cycle: Number of the cycle, counted from 0. It is -2 before the robot has answered, and -1 after the answer
-            before the first cycle.
+        cycle: Number of the cycle, counted from 0. It is -2 before the first answer of the robot, and -1 between this
+            answer and the first cycle.
     """
 
     def __init__(
@@ -106,7 +106,7 @@ class MissionController:
         self.vehicle = Vehicle(conf, read, write, profile)
         self._outbox = Outbox()
         if not profile.says_why:
-            self.vehicle.control.say = self._outbox.message
+            self.vehicle.control.report = self._outbox.message
         self.interpreter = ScriptInterpreter(
             self.vehicle, self._outbox, COMMANDS, functions or {}, limits or MissionLimits()
         )
@@ -140,7 +140,7 @@ class MissionController:
 
     @property
     def run(self) -> Run | None:
-        """The plan that is executed."""
+        """Plan that is executed."""
         return None if self._program is None else self._program.run
 
     def take_said(self) -> list[Said]:
@@ -150,7 +150,7 @@ class MissionController:
     # -- cycles -----------------------------------------------------------------------------------------
 
     def first_request(self) -> dict[str, list[int]]:
-        """Variables to write before the first answer of the robot."""
+        """Return the variables to write before the first answer of the robot."""
         self.vehicle.outputs.reset_motors()
         return self.vehicle.outputs.take_changed()
 

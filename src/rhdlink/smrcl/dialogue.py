@@ -1,4 +1,4 @@
-"""The server side of a mission: commands from clients instead of a file.
+"""Server side of a mission, which gets commands from clients instead of a file.
 
 MRC receives such commands on its port.
 
@@ -6,8 +6,8 @@ Clients send lines of text with at most 255 characters. Some words are answered 
 `beginplan`, ...). All other lines are commands, which are queued and executed in order. Events report the outcome of a
 command. A client fetches events one by one with `getevent`, or receives them immediately as XML (``set "xmlon" 1``).
 
-All clients share one queue, because there is one robot. Each client has its own ids, events, streams and form. This
-module opens no socket: bytes come in through `Session.receive` and go out through `Session.take`.
+All clients share one queue, because there is one robot. Each client has its own ids, events, streams and output form
+(text or XML). This module opens no socket: bytes come in through `Session.receive` and go out through `Session.take`.
 """
 
 from __future__ import annotations
@@ -27,11 +27,13 @@ MOST_COMMANDS, MOST_PLANS = 400, 10
 MOST_PLAN_LINES = 5000
 #: Maximum number of lines that are taken from a client in one cycle.
 _MOST_LINES = 100
+#: Maximum number of failures that are kept.
+_MOST_FAILURES = 100
 
 
 @dataclass
 class _Queued:
-    """A command that is queued or running."""
+    """Command that is queued or running."""
 
     session: Session
     number: int
@@ -39,14 +41,14 @@ class _Queued:
 
 
 class ClientDialogue:
-    """Executes commands from clients, with one step per cycle.
+    """Program that executes commands from clients, with one step per cycle.
 
     Args:
         effects: Objects that commands use, and the interpreter that executes them.
 
     Attributes:
         sessions: Sessions of the clients.
-        failures: Failures of commands, the newest last.
+        failures: Last 100 failures of commands, the newest last. Any thread may copy the list.
         queue: Queued commands.
         run: Program that is executed.
     """
@@ -58,7 +60,7 @@ class ClientDialogue:
         self._outbox = effects.output
         self._profile = effects.profile
         self.sessions: list[Session] = []
-        self.failures: deque[Failure] = deque(maxlen=100)
+        self.failures: list[Failure] = []
         self.queue: deque[_Queued] = deque()
         self.run: Run | None = None
         self._plans: list[MissionPlan] = []
@@ -94,7 +96,7 @@ class ClientDialogue:
             self._vehicle.control.finish()
 
     def is_busy(self, session: Session) -> bool:
-        """Whether a line or command of the client is queued or executed, or it waits for an event."""
+        """Whether a line or command of the client is queued or executed, or the client waits for an event."""
         commands = [each for each in (self._current, *self.queue) if each is not None]
         return session.backlog > 0 or session.is_waiting or any(each.session is session for each in commands)
 
@@ -122,14 +124,19 @@ class ClientDialogue:
         return is_over
 
     def fail(self, failure: Failure) -> None:
-        """End the current command with an error. Queued commands are executed after it."""
+        """End the current command with an error. Queued commands are executed afterwards."""
         run, current = self.run, self._current
         if run is not None and current is not None:
             run.failure, run.result = failure, ERROR
             self._interpreter.skips = False
             self._finish(run, current)
         elif not self.failures or self.failures[-1] != failure:
-            self.failures.append(failure)
+            self.note(failure)
+
+    def note(self, failure: Failure) -> None:
+        """Add a failure, and forget the oldest ones."""
+        self.failures.append(failure)
+        del self.failures[:-_MOST_FAILURES]
 
     def tell(self, plain: str, xml: str) -> None:
         """Send an event about the robot to every client."""
@@ -170,11 +177,12 @@ class ClientDialogue:
         elif line.startswith("eval"):
             session.send(self._evaluate(session, line))
         elif line.startswith("setvar"):
-            # There is no answer, even if it is wrong.
+            # There is no answer, even if the line is wrong.
             self._effects.client = session
             self._interpreter.perform_aside(f"set   {line[6:]}")
         elif line.startswith("laserscan"):
-            # 361 values of two bytes. No laser scanner is supported here, and MRC sends zeros without a scanner.
+            # The answer has 361 values of two bytes. Laser scanners are not supported, and MRC sends zeros without a
+            # scanner.
             session.send("\0" * 722)
         elif line.startswith("flushcmds"):
             self._flush(session)
@@ -301,7 +309,7 @@ class ClientDialogue:
     def _keep(self, run: Run) -> None:
         self._result = run.result
         if run.failure is not None:
-            self.failures.append(run.failure)
+            self.note(run.failure)
 
     def _plan(self, text: str) -> MissionPlan:
         if not text.startswith("runplan"):
@@ -309,5 +317,5 @@ class ClientDialogue:
         for plan in self._plans:
             if self._is_named(plan, text[7:]):
                 return MissionPlan(plan.lines, plan.name)
-        # MRC executes a line of two blanks instead.
+        # As in MRC, execute a line of two blanks instead.
         return MissionPlan([PlanLine("  ", 1)])

@@ -1,4 +1,4 @@
-"""The objects that commands use, and the commands that do not move the robot.
+"""Objects that commands use, and the commands that do not move the robot.
 
 These are the commands for flow, log, events, texts and special hardware.
 
@@ -35,7 +35,7 @@ _MOST_WATCHES = 100
 
 
 class Watch:
-    """A condition that is tested in every cycle. It sends an event when it becomes true."""
+    """Condition that is tested in every cycle. An event is sent when it becomes true."""
 
     def __init__(self, name: str, conditions: Sequence[Value]) -> None:
         self.name = name
@@ -55,12 +55,12 @@ class Watch:
 
 
 def always() -> bool:
-    """The default end of a command that is done immediately."""
+    """Return True: default end of a command that is done immediately."""
     return True
 
 
 class MissionEffects:
-    """The objects that commands use.
+    """Objects that commands use.
 
     Args:
         interpreter: Interpreter that executes the lines.
@@ -74,7 +74,7 @@ class MissionEffects:
         profile: Profile of the mission, like MRC or sound.
         symbols: Variables of the mission.
         command: Current command, or the last one.
-        run: Plan that the command belongs to.
+        run: Plan to which the command belongs.
         conditions: Stop conditions of the command.
         log: Log of the variables.
         watches: Active watches.
@@ -82,7 +82,7 @@ class MissionEffects:
         is_reading: Whether `read` waits for a line from its client.
         side_is_left: Whether `followwall` follows a wall on the left.
         signal: Parameters of `funcgen`.
-        routine_result: Value that `resetmotors` prints: the x of its previous execution.
+        routine_result: Value that `resetmotors` prints, which is the x coordinate at its previous execution.
     """
 
     def __init__(self, interpreter: ScriptInterpreter, hooks: Mapping[str, Hook]) -> None:
@@ -113,7 +113,7 @@ class MissionEffects:
             LineFault: If the command cannot be executed.
         """
         self.command, self.run, self.conditions = command, run, conditions
-        return command.carry_out(self, *parameters)
+        return command.execute(self, *parameters)
 
     # -- when the next line begins ----------------------------------------------------------------------
 
@@ -211,7 +211,7 @@ def call(effects: MissionEffects, label: str) -> Outcome:
     back = run.plan.next
     effects.interpreter.go_to(label, run)
     if len(run.calls) >= most:
-        raise LineFault(f"more than {most} nested calls", is_limit=True)
+        raise LineFault(f"calls are nested too deeply; the maximum is {most}", is_limit=True)
     run.calls.append(back)
     return effects.go_on(never)
 

@@ -1,4 +1,4 @@
-"""The loop of a mission on a robot: exchange values, compute, and call the user's functions."""
+"""Loop of a mission on a robot, which exchanges values, computes, and calls the user's functions."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ _OBSERVED = frozenset(kind.value for kind in SaidKind if kind is not SaidKind.LO
 
 @dataclass
 class Callbacks:
-    """The callbacks of a user's program.
+    """Callbacks of a user's program.
 
-    All of them are called between two ticks, so they must be quick.
+    All callbacks are called between two ticks, so they must be quick.
 
     Attributes:
         hooks: Functions for commands that need hardware, by the name of the command.
@@ -149,7 +149,7 @@ class MissionExecution:
     Attributes:
         controller: Controller that executes the mission.
         cycles: Number of exchanges with the robot so far.
-        is_told: Whether the next values to write equal the last written values.
+        is_unchanged: Whether the next values to write equal the last written values.
     """
 
     def __init__(
@@ -163,7 +163,7 @@ class MissionExecution:
         self._before_step = before_step
         self.controller = controller
         self.cycles = 0
-        self.is_told = False
+        self.is_unchanged = False
         self._link = link
         self._callbacks = callbacks
         self._save_log = save_log
@@ -190,7 +190,7 @@ class MissionExecution:
         if self._before_step is not None:
             self._before_step()
         told, self._request = self._request, controller.step(raw, self._time())
-        self.is_told = self._request == told
+        self.is_unchanged = self._request == told
         for said in controller.take_said():
             if said.kind is SaidKind.LOG:
                 self._save(said.text)
@@ -200,7 +200,10 @@ class MissionExecution:
         return True
 
     def _time(self) -> float:
-        """Value of ``$time``: for a robot whose time stops between two exchanges, its elapsed time."""
+        """Return the value of ``$time``.
+
+        If the robot's time stops between two exchanges, it is the elapsed time of the robot.
+        """
         if not self._link.is_lockstep:
             return time.time()
         return self.cycles * self._period if self.controller.vehicle.profile.knows_time else 0.0
@@ -247,7 +250,7 @@ class MissionExecution:
         with contextlib.suppress(LinkError):
             for _ in range(2):
                 self._link.exchange(request, _STAND_TIMEOUT)
-            self._request, self.is_told = request, True
+            self._request, self.is_unchanged = request, True
 
 
 @contextlib.contextmanager

@@ -26,7 +26,7 @@ from .syntax import ArrayElement, Call, Expression, Negate, NumberLiteral, Varia
 #: A compiled expression.
 Value = Callable[[], float]
 
-#: Value that MRC reads beyond an array: the address of the array's name as a double. It prints as 0 and is true.
+#: Value that MRC reads beyond an array: the address of the array's name as a double. It is printed as 0, and is true.
 BEYOND = 4.6e-310
 
 #: Operators whose result is 0 or 1. Both operands are computed first.
@@ -50,7 +50,7 @@ _ARITHMETIC: Mapping[str, Callable[[float, float], float]] = {
 
 
 class LineFault(Exception):
-    """A line cannot be executed. The fault ends the plan, and never leaves the interpreter.
+    """Error: a line cannot be executed. The fault ends the plan, and is not raised outside of the interpreter.
 
     Attributes:
         column: Column of the faulty part in the line, counted from 1; 0 for the whole line.
@@ -64,7 +64,7 @@ class LineFault(Exception):
 
 
 class Compiler:
-    """Compiles expressions for one set of variables.
+    """Compiler of expressions for one set of variables.
 
     Args:
         symbols: Variables.

@@ -1,7 +1,7 @@
-"""Executes the lines of one plan at a time, with one step per cycle.
+"""Interpreter that executes the lines of one plan at a time, with one step per cycle.
 
-A line is read in one cycle. Its default end and its stop conditions are tested from the next cycle, until one of them
-is true. The next line is read in the cycle after that. A line that takes no time (such as an assignment, `if` or
+A line is read in one cycle. From the next cycle on, its default end and its stop conditions are tested until one of
+them is true. The next line is read in the following cycle. A line that takes no time (such as an assignment, `if` or
 `goto`) is followed by the next line in the same cycle. This is the state machine `sm_interp` of MRC.
 """
 
@@ -40,12 +40,12 @@ class MissionLimits:
 
 
 def never() -> bool:
-    """The default end of a command that continues until a stop condition is true."""
+    """Return False: default end of a command that continues until a stop condition is true."""
     return False
 
 
 class ScriptInterpreter:
-    """Executes plans on a vehicle.
+    """Interpreter that executes plans on a vehicle.
 
     Args:
         vehicle: Robot that moves, and has the variables.
@@ -256,7 +256,7 @@ class ScriptInterpreter:
     # -- lines --------------------------------------------------------------------------------------
 
     def _skip(self, text: str) -> None:
-        """Skip a line in a `switch` before the wanted case, or after it. The line is not parsed."""
+        """Skip a line in a `switch` that is before or after the selected case. The line is not parsed."""
         text = text.lstrip(" \t\r")
         if text.startswith("case "):
             value = leading_number(text[5:])
@@ -285,7 +285,7 @@ class ScriptInterpreter:
         return Outcome.NEXT
 
     def _reads_on(self, text: str, column: int) -> bool:
-        """Read the rest of a wrong line as MRC does, which complains about unknown names.
+        """Read the rest of a wrong line as MRC does. MRC reports unknown names in it.
 
         Returns:
             Whether the rest contains a character beyond ASCII, which makes MRC forget the error.
@@ -302,7 +302,7 @@ class ScriptInterpreter:
     def evaluate(self, text: str) -> list[float] | None:
         """Compute the values of ``eval ...`` while a command runs.
 
-        None if the text is another command, or wrong.
+        Return None if the text is another command, or is invalid.
         """
         line = self._parser.parse(text)
         statement = line.statements[0] if line.statements else None

@@ -38,12 +38,12 @@ class TokenType(enum.Enum):
 
 @dataclass(frozen=True)
 class Token:
-    """A word of the language.
+    """Token of the language.
 
     Attributes:
         type: Kind of the token.
         text: Text of the token: a string without its quotation marks, a system variable without the ``$``.
-        column: Column of its first character, counted from 1.
+        column: Column of the first character, counted from 1.
         value: Value of a number.
     """
 

@@ -59,14 +59,14 @@ def read_script(path: str | os.PathLike[str]) -> str:
 
 
 class Mission(StrictAttributes, WithCallbacks):
-    """A script and its robot::
+    """Mission: a script and its robot::
 
         mission = Mission("square.smr", robot)
         mission.on("text", print)
         mission.run()
 
-    A mission can be run any number of times, each time from its beginning. However it ends, the robot is stopped at its
-    end. If this process is killed, the host must stop the robot.
+    A mission can be run any number of times, each time from its beginning. At the end of a mission, the robot is always
+    stopped. If this process is killed, the host must stop the robot.
 
     Args:
         source: Script: a path, or the text itself if it has more than one line or does not end in ".smr".
@@ -248,7 +248,7 @@ class MissionRun(Handle):
 
     @property
     def text(self) -> str:
-        """Text of that line."""
+        """Text of the current or last line."""
         return self._line.text.strip() if self._line is not None else ""
 
     @property
@@ -267,7 +267,7 @@ class MissionRun(Handle):
 
     @property
     def conditions(self) -> tuple[bool, ...]:
-        """Last values of the stop conditions of that line, True for a condition that holds."""
+        """Last values of the stop conditions of the current or last line."""
         return self._execution.controller.interpreter.conditions
 
     @property
@@ -374,9 +374,9 @@ class MissionRun(Handle):
 
 
 class Debugger(StrictAttributes):
-    """A mission that is executed line by line.
+    """Mission that is executed line by line.
 
-    A context manager that closes itself. Made by `Mission.debug`.
+    `Mission.debug` makes it. Use it as a context manager to close it at the end of a block.
 
     Attributes:
         breakpoints: Numbers of the lines before which `resume` stops.
@@ -407,7 +407,7 @@ class Debugger(StrictAttributes):
 
     @property
     def text(self) -> str:
-        """Text of that line."""
+        """Text of the line that comes next."""
         return "" if self.run.done or self._next is None else self._next.text.strip()
 
     def step(self) -> int | None:
@@ -430,7 +430,7 @@ class Debugger(StrictAttributes):
             The number of the line at the breakpoint; None after the mission has ended.
 
         Raises:
-            LinkError: If a line fails, or the robot does; see `step`.
+            LinkError: If a line cannot be executed, or the robot does not answer; see `step`.
         """
         self._steps = False
         return self._go_on()

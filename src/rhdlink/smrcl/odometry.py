@@ -21,7 +21,7 @@ _COUNTER = 1 << 30
 
 
 class Odometry:
-    """The state of the odometry.
+    """State of the odometry.
 
     Args:
         conf: Initial configuration of the robot. A script changes the attributes below instead.
@@ -117,7 +117,7 @@ class Odometry:
 
 
 def _step(difference: int) -> int:
-    """Difference of two counters of 32 or 30 bits."""
+    """Return the difference of two counters of 32 or 30 bits."""
     difference = (difference + 0x8000_0000) % 0x1_0000_0000 - 0x8000_0000
     if difference > _COUNTER // 2:
         return difference - _COUNTER

@@ -1,6 +1,6 @@
 """Parser of one line of SMR-CL to its syntax tree.
 
-It uses recursive descent with precedence climbing.
+The parser uses recursive descent with precedence climbing.
 
 ::
 
@@ -16,8 +16,9 @@ It uses recursive descent with precedence climbing.
     case       = "case" NUMBER                             ; the rest of the line is ignored
     endswitch  = "endswitch"                               ; the rest of the line is ignored
 
-MRC executes a line while it reads it, so the text before an error has already had its effect. This parser returns a
-line with an error as the tree before the error, and the error (`ScriptLine`). Executing it has the same effect.
+MRC executes a line while it reads the line, so the text before an error has already been executed. For a line with an
+error, this parser returns the tree of the text before the error, and the error (`ScriptLine`). The execution of this
+result has the same effect as in MRC.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ DEEPEST = 60
 
 
 class _Unexpected(Exception):
-    """The next token is not allowed here. Never leaves this module."""
+    """Error: the next token is not allowed at this position. It is not raised outside of this module."""
 
     def __init__(self, token: Token, message: str) -> None:
         super().__init__(message)
@@ -77,7 +78,7 @@ class _Unexpected(Exception):
 
 
 class Parser:
-    """Parses lines.
+    """Parser of lines.
 
     Args:
         commands: Names of the commands, which variables cannot have.
@@ -95,7 +96,7 @@ class Parser:
         """Parse a line into a tree. Never raises: an error is stored in the tree."""
         length = len(text.rstrip("\r\n"))
         if length > LONGEST_LINE:
-            # Execute nothing of it, because the length of a line limits the depth of its tree.
+            # Do not execute any part of this line, because the length of a line limits the depth of its tree.
             return ScriptLine(
                 (), Problem(LONGEST_LINE + 1, f"the line has {length} characters; {LONGEST_LINE} are allowed")
             )
@@ -291,7 +292,7 @@ class Parser:
         """Parse an expression whose operators bind at least as tightly as `loosest`."""
         self._depth += 1
         if self._depth > DEEPEST:
-            raise _Unexpected(self._token, f"more than {DEEPEST} nested brackets and signs")
+            raise _Unexpected(self._token, f"brackets and signs are nested too deeply; the maximum is {DEEPEST}")
         left = self._primary()
         while self._token.type is TokenType.SYMBOL:
             operator = self._token.text

@@ -1,4 +1,4 @@
-"""A script as the interpreter needs it: its lines and labels, and one execution of it."""
+"""Plan of a script for the interpreter (lines and labels), and one execution of a plan."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-#: Maximum number of characters of a line. MRC cuts longer lines, and takes the rest as the next line.
+#: Maximum number of characters of a line. MRC splits longer lines, and reads the rest as the next line.
 LONGEST_LINE = 255
 
 #: Pattern of MRC's labels: in a line that begins with `label`, the letters and digits after the first quotation mark.
@@ -17,7 +17,7 @@ _LABEL = re.compile(r'label[^"]*"([A-Za-z0-9]*)')
 
 @dataclass
 class PlanLine:
-    """One line.
+    """Line of a plan.
 
     Attributes:
         text: Text without leading blanks. In a file it includes the line feed.
@@ -33,7 +33,7 @@ class PlanLine:
 
 
 class MissionPlan:
-    """Lines of a script, and the position of the next one.
+    """Lines of a script, and the position of the next line.
 
     Args:
         lines: Lines with their numbers.
@@ -107,7 +107,7 @@ class Failure:
 
 
 class Stage(enum.Enum):
-    """Step of a run in its next cycle."""
+    """Action of a run in its next cycle."""
 
     FETCH = "reads lines"
     WAIT = "tests the end of a line"
@@ -121,7 +121,7 @@ FREE_LINE, ERROR = -2.0, -1.0
 
 
 class Run:
-    """One execution of a plan.
+    """Execution of a plan.
 
     Args:
         plan: Plan to execute.

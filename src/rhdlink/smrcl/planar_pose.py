@@ -1,4 +1,4 @@
-"""`PlanarPose`: a position and a heading in the plane."""
+"""Class `PlanarPose`: a position and a heading in the plane."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""The two profiles: "mrc" behaves like the original, and "sound" without its defects.
+"""The two profiles: "mrc" behaves like the original, and "sound" behaves like the original without its defects.
 
 Each difference is one field of `Profile`, with the behaviour of the original and of this library. The table in the
-documentation is made from these fields. Behaviour that no script can want (crashes, endless loops inside MRC, overrun
-memory) is limited under both profiles; see `BOTH`.
+documentation is made from these fields. Behaviour that no script can need (crashes, endless loops inside MRC, overrun
+memory) is prevented in both profiles; see `BOTH`.
 """
 
 from __future__ import annotations
@@ -157,7 +157,7 @@ class Profile:
 
 @dataclass(frozen=True)
 class Difference:
-    """One row of the table.
+    """Row of the table of differences.
 
     Attributes:
         name: Name of the field of `Profile`.
@@ -179,7 +179,7 @@ def differences() -> tuple[Difference, ...]:
     )
 
 
-#: Behaviour of MRC that neither profile imitates: the behaviour of MRC, and the behaviour here.
+#: Behaviour of MRC that neither profile imitates, and the behaviour of this library instead.
 BOTH: tuple[tuple[str, str], ...] = (
     (
         "a loop that takes no time never returns, and the robot continues to drive",

@@ -1,4 +1,4 @@
-"""The output of a mission, and its receivers.
+"""Output of a mission, and the receivers of this output.
 
 A receiver is the session of a client, or an outbox if there is no client.
 """
@@ -14,7 +14,7 @@ from typing import Protocol
 from .arithmetic import format_number
 from .plan import LONGEST_LINE, MissionPlan, PlanLine
 
-#: Maximum number of messages kept for one cycle; a script can print 20000.
+#: Maximum number of messages that are stored for one cycle. A script can print 20000 messages in a cycle.
 _MOST = 50_000
 #: Maximum number of events of a client, and of variables in its stream, as in MRC.
 MOST_EVENTS, MOST_STREAMED = 100, 20
@@ -45,11 +45,11 @@ class SaidKind(enum.Enum):
 
 @dataclass(frozen=True)
 class Said:
-    """One output of a mission.
+    """Output of a mission, such as an event or a text.
 
     Attributes:
         kind: Kind of the output.
-        text: Text of the output. A line and values end with a line feed; a message is as MRC prints it.
+        text: Text of the output. Lines and values end with a line feed; messages are formatted as MRC prints them.
         number: For a line, the number of executed lines; otherwise 0.
         line: For a line, its number in the file; otherwise 0.
     """
@@ -99,7 +99,7 @@ class Recipient(Protocol):
 
 
 class Outbox:
-    """Collects the output of the interpreter. It replaces a client if there is none.
+    """Collector of the output of the interpreter. It replaces the session of a client if there is no client.
 
     Attributes:
         can_answer, uses_xml: See `Recipient`. They are False, because there is no client that could answer or receive
@@ -174,7 +174,7 @@ class Session:
 
     Attributes:
         is_closed: Whether the client has left or was disconnected. Nothing more is received from it.
-        uses_xml: Whether its events are sent as XML. Queued events keep their form.
+        uses_xml: Whether the events of the client are sent as XML. Queued events keep their form.
     """
 
     def __init__(self, outbox: Outbox, pool: Sequence[float]) -> None:
@@ -203,7 +203,7 @@ class Session:
         for byte in data:
             if byte in (10, 13):
                 if self._after and byte != self._after:
-                    # The second half of a line end.
+                    # This byte is the second half of a line end.
                     self._after = 0
                     continue
                 self._after = byte
@@ -267,7 +267,7 @@ class Session:
         self.send(f'<cmd id="{number}" status="{status}" />\n' if self.uses_xml else f"ID{number} {status}\n")
 
     def ask_event(self, seconds: float) -> None:
-        """Send the oldest event, or the next one within `seconds`.
+        """Send the oldest event. If there is none, send the next event that occurs within `seconds`.
 
         A new request replaces the pending one.
         """
@@ -279,7 +279,7 @@ class Session:
     def end_cycle(self) -> None:
         """Answer a pending `getevent` with the oldest event, or with `eventtimeout`.
 
-        A client receives `eventtimeout` when the time of its request is up.
+        A client receives `eventtimeout` when the time of its request has expired.
         """
         if self._waiting is None:
             return
@@ -326,13 +326,13 @@ class Session:
         self.event(f"userevent {name}\n", f'<userevent name="{name}" />\n')
 
     def sync_event(self, name: str) -> None:
-        """Send an event of `syncevent`. It is not queued in either form."""
+        """Send an event of `syncevent`. It is never queued, neither as text nor as XML."""
         self.send(f"syncevent {name}\n")
 
     def stream(self, period: int, variables: Sequence[tuple[str, int]]) -> None:
         """Add variables of `stream`, and send all of them in each `period`-th cycle.
 
-        With 0, send only these, once.
+        If `period` is 0, send only these variables, once.
         """
         if period == 0:
             self._send_streamed(variables)

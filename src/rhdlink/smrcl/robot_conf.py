@@ -1,7 +1,7 @@
-"""The configuration of a robot for MRC, as in `robot.conf`: kind, scales and gains.
+"""Configuration of a robot for MRC, as in `robot.conf`: kind of drive, scales and gains.
 
-The defaults are MRC's own defaults without a file, if MRC has any. Elements are found anywhere in the file. Elements
-for hardware that missions here do not support (``<filter>``, ``<gpsmouse>``, ...) are ignored.
+The defaults are those of MRC without a file, if MRC has defaults. Elements are found anywhere in the file. Elements for
+hardware that this library does not support (``<filter>``, ``<gpsmouse>``, ...) are ignored.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from ..host.config import LARGEST, BadConfiguration, Element, parse_xml
+from ..mqtt.variables import RobobotVariables
+from ..variables.value_types import Scaled
 from .motion.control import DriveKind, MotionParameters
 
 _log = logging.getLogger(__name__)
@@ -25,7 +27,7 @@ _log = logging.getLogger(__name__)
 class Scale:
     """Offset and gain of a variable of the robot (``<varscale>``).
 
-    Its value is ``(raw + offset) * gain``.
+    The value of the variable is ``(raw + offset) * gain``.
 
     Attributes:
         variable: Name of the variable, with an index if it is not the first value: ``"adc[2]"``.
@@ -38,7 +40,7 @@ class Scale:
 
 @dataclass(frozen=True)
 class InputRoute:
-    """An input of a control function that is routed from a system variable (``<routeinput>``)."""
+    """Route from a system variable to an input of a control function (``<routeinput>``)."""
 
     module: str
     function: str
@@ -48,7 +50,7 @@ class InputRoute:
 
 @dataclass(frozen=True)
 class Setting:
-    """A parameter of a control function (``<setpar>``)."""
+    """Value of a parameter of a control function (``<setpar>``)."""
 
     module: str
     function: str
@@ -58,16 +60,16 @@ class Setting:
 
 @dataclass(frozen=True)
 class RobotConf:
-    """The configuration of a robot for MRC.
+    """Configuration of a robot for MRC.
 
     Attributes:
         drive: Kind of drive.
         name: Name of the robot. Only "smr" has an effect: its infrared sensors slow it down before obstacles.
-        left_scale, right_scale: m per count of the counters. A velocity-omega robot has only the left counter; its
-            value is twice the m per count.
+        left_scale, right_scale: Scales of the counters, in m per count. A velocity-omega robot has only the left
+            counter; its scale must be twice the real m per count.
         width: Distance between the wheels for the odometry, in m.
         period: Duration of a cycle, in s. The robot's tick must have the same duration.
-        max_tick: Number of counts in a cycle that makes a step a fault.
+        max_tick: Number of counts in a cycle from which a step counts as a fault.
         heading_source: 0 for the wheels, 1 for the heading counter, 2 for a curvature.
         is_rate: Whether the heading is a rate.
         is_relative: Whether the counters are relative.
@@ -122,15 +124,15 @@ class RobotConf:
 
 
 def _usual_motion() -> MotionParameters:
-    """Gains of DTU's robots as shipped."""
+    """Return the gains that DTU's robots have when they are delivered."""
     return MotionParameters(drive_kdist=4.8, drive_kangle=2.25, line_tau=10.0, wall_tau=0.7)
 
 
-#: An SMR with encoders of 32 bits.
+#: Configuration of an SMR with 32-bit encoders.
 SMR = RobotConf(
     left_scale=0.00010245, right_scale=0.00010245, max_tick=1000.0, acceleration=0.3, motion=_usual_motion()
 )
-#: A velocity-omega robot whose counters are in 10 um and rad / 40000, such as the turtle.
+#: Configuration of a velocity-omega robot with counters in 10 um and rad / 40000, such as the turtle.
 VELOMEGA = RobotConf(
     drive=DriveKind.VELOMEGA,
     name="turtle",
@@ -143,12 +145,26 @@ VELOMEGA = RobotConf(
     right_speed_scale=40000.0,
     motion=_usual_motion(),
 )
+#: A robot of DTU with MQTT. Line sensors are normalised to 0 without reflection and 1000 on white tape, and all numbers
+#: are in the units of `RobobotVariables`, for example ``$dist`` in m.
+ROBOBOT = replace(
+    VELOMEGA,
+    name="robobot",
+    line_white=(1000.0,) * 8,
+    line_black=(0.0,) * 8,
+    scales=tuple(
+        Scale(f"{each.name}[{number}]", gain=each.type.scale)
+        for each in RobobotVariables.declared().values()
+        if isinstance(each.type, Scaled) and each.name not in (*VELOMEGA.reads, *VELOMEGA.writes)
+        for number in range(each.count)
+    ),
+)
 
 
 def read_robot_conf(path: str | os.PathLike[str], *, calibration: str | None = None, robot: str = "") -> RobotConf:
     """Read the configuration in a `robot.conf`, and the calibrations next to it.
 
-    MRC names calibrations after the computer that it runs on, which is the robot: ``<name>_demo_odo_calib.dat``,
+    MRC names calibrations after the computer on which it runs, which is the robot: ``<name>_demo_odo_calib.dat``,
     ``<name>_demo_ls_calib.dat``, ``<name>_demo_ir_calib.dat``. Missing calibrations are logged as a warning, with the
     names of the calibrations that were found.
 
@@ -179,12 +195,12 @@ def read_robot_conf(path: str | os.PathLike[str], *, calibration: str | None = N
     return _calibrated(conf, place, name, is_needed=False)
 
 
-#: Kinds of calibrations, by the part of the file name, and the calibrated sensors.
+#: Part of the file name of a calibration -> sensors that it calibrates.
 _KINDS = {"odo": "odometry", "ls": "line sensors", "ir": "infrared sensors"}
 
 
 def _calibrations(folder: Path, name: str) -> list[str]:
-    """Kinds of calibrations that exist for a name."""
+    """Return the kinds of calibrations that exist for a name."""
     return [kind for kind in _KINDS if (folder / f"{name}_demo_{kind}_calib.dat").is_file()]
 
 
@@ -325,7 +341,7 @@ def _read(path: Path) -> bytes:
 
 
 def _numbers(path: Path, count: int | None) -> tuple[float, ...]:
-    """Numbers in a file; text after a semicolon is ignored.
+    """Return the numbers in a file. Text after a semicolon is ignored.
 
     Raises:
         BadConfiguration: If the file contains fewer than `count` numbers, or other words.

@@ -1,4 +1,4 @@
-"""The link of a mission to its robot, over the network or in this process.
+"""Link of a mission to its robot, over the network or in this process.
 
 A link exchanges values once per tick. A mission uses all kinds of links in the same way. The module also finds the
 configuration of the robot.
@@ -18,19 +18,17 @@ from linkcore.errors import BadValue, Closed
 
 from ..client import Variables, connect
 from ..errors import AccessDenied, WrongVariables
-from ..host.config import Element
-from ..host.plugin import Plugin, check_methods
+from ..host.plugin import Plugin, check_methods, initialise
 from ..variables.database import Database, TimeStamp
-from ..variables.declarations import bind, create_variables
 from ..variables.value_types import wrapped
-from .robot_conf import SMR, VELOMEGA, RobotConf, read_robot_conf
+from .robot_conf import ROBOBOT, SMR, VELOMEGA, RobotConf, read_robot_conf
 
-#: The words of read variables, by name.
+#: Words of variables, by name.
 Words = Mapping[str, Sequence[int]]
 
 
 class RobotLink(Protocol):
-    """Interface of a robot for the loop of a mission."""
+    """Interface of a robot that the loop of a mission uses."""
 
     @property
     def name(self) -> str:
@@ -56,16 +54,16 @@ class RobotLink(Protocol):
         """
 
     def close(self) -> None:
-        """Release the robot in its current state. Idempotent."""
+        """Release the robot without changing its state. Idempotent."""
 
 
 class ClientLink:
-    """A robot on the network, connected by a client. For the attributes, see `RobotLink`.
+    """Link to a robot on the network, over a client. For the attributes, see `RobotLink`.
 
     Args:
         robot: Robot that is connected with write access.
         is_lockstep: Whether the host waits for each request. The protocol does not show this.
-        owns: Whether `close` closes the robot.
+        owns: Whether `close` closes the robot object.
 
     Raises:
         AccessDenied: If the robot was connected without write access.
@@ -103,7 +101,7 @@ class ClientLink:
 class _Fetched(dict[str, Sequence[int]]):
     """Read variables of a tick, fetched on demand.
 
-    A robot can have thousands, but a mission needs only a few.
+    A robot can have thousands of variables, but a mission needs only a few of them.
     """
 
     def __init__(self, fetch: Callable[[str], Sequence[int]]) -> None:
@@ -120,7 +118,7 @@ def _listed(words: Any) -> list[int]:
 
 
 class PluginLink:
-    """A robot in this process: its plugins, without a host, a port or a thread.
+    """Link to a robot in this process: its plugins run without a host, a port or a thread.
 
     The link calls the plugins in the same way as a host, and is their `plugin.host`. For the attributes, see
     `RobotLink`.
@@ -154,11 +152,7 @@ class PluginLink:
         self._now = TimeStamp(0, 0)
         self.database.read.clock = self.database.write.clock = lambda: self._now
         for plugin in self._plugins:
-            plugin.name = plugin.name or type(plugin).__name__.lower()
-            plugin.host = self
-            create_variables(type(plugin), self.database)
-            bind(plugin, self.database)
-            plugin.init(Element(plugin.name))
+            initialise(plugin, self)
         self._running = list(reversed(self._plugins))
         table = self.database.read
         self.read = {row.name: row.length for row in table}
@@ -174,7 +168,7 @@ class PluginLink:
     def exchange(self, written: Words, timeout: float | None = None) -> Words:
         """Write values, and execute one tick.
 
-        As with a host, the answer does not yet show their effect.
+        As with a host, the answer does not yet show the effect of these values.
 
         Raises:
             BadValue: If the link was closed.
@@ -227,7 +221,7 @@ class PluginLink:
             plugin.terminate()
 
 
-#: Robots that a mission can run on: a connected robot, an address, a plugin such as `Turtle()`, or a link.
+#: Robot on which a mission can run: a connected robot, an address, a plugin such as `Turtle()`, or a link.
 AnyRobot = Variables | Plugin | RobotLink | str
 
 
@@ -263,11 +257,16 @@ def suitable_conf(conf: RobotConf | str | os.PathLike[str] | None, link: RobotLi
         WrongVariables: If the robot lacks variables that the configuration needs. The error lists all of them.
     """
     if conf is None:
-        conf = VELOMEGA if "cmdtransvel" in link.write else SMR
+        if "cmdtransvel" not in link.write:
+            conf = SMR
+        elif "livn" in link.read:
+            conf = ROBOBOT
+        else:
+            conf = VELOMEGA
         period = getattr(link, "period", conf.period)
         conf = replace(conf, period=period, motion=replace(conf.motion, period=period))
     elif not isinstance(conf, RobotConf):
-        conf = read_robot_conf(conf, robot=link.name.rpartition(":")[0])
+        conf = read_robot_conf(conf, robot=link.name.removeprefix("mqtt://").rpartition(":")[0])
     lacking = [f"there is no read variable {name}" for name in conf.reads if name not in link.read]
     lacking += [f"there is no write variable {name}" for name in conf.writes if name not in link.write]
     if lacking:

@@ -1,4 +1,4 @@
-"""Infrared distances, and the line on the floor: MRC's processing of the raw values.
+"""Sensors of a mission (infrared distances and line sensors), whose raw values are processed as in MRC.
 
 Infrared: raw values are bytes. A distance is ``k1 / (raw - k2)`` m, at most 1 m. Five sensors are used: left, front
 left, front middle, front right and right. The sixth is unused.
@@ -156,7 +156,7 @@ class LineSensor:
         self._positions.clear()
 
     def position(self, kind: LineKind) -> float:
-        """Position of a line, in cm to the left of the middle."""
+        """Return the position of a line, in cm to the left of the middle."""
         if kind not in self._positions:
             self._locate()
         return self._positions[kind]
@@ -208,7 +208,10 @@ class LineSensor:
 
 
 def _edges(smoothed: Sequence[float], cross: float) -> tuple[float, float]:
-    """First positions from each end where the brightness falls below `cross`, in sensors."""
+    """Return the first position from each end at which the brightness falls below `cross`.
+
+    The positions are in units of the distance between two sensors.
+    """
     last = len(smoothed) - 1
     inner, outer = 0, -1
     for number in range(1, last + 1):
@@ -242,7 +245,7 @@ def _edges(smoothed: Sequence[float], cross: float) -> tuple[float, float]:
 class _Crossing:
     """Position at which each half of the sensor was last on the line.
 
-    Both begin at 0 m, as in MRC.
+    Both positions begin at 0 m, as in MRC.
     """
 
     def __init__(self) -> None:

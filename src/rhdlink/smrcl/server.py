@@ -1,4 +1,4 @@
-"""The server of a mission: a TCP port for programs that were written for MRC.
+"""Server of a mission, which opens a TCP port for programs that were written for MRC.
 
 MRC listens on port 31001, or with its option `-t N` on 31000 + N. `dialogue` handles the commands of clients. This
 module handles the sockets. The one driving thread serves them between the robot's answer and the script of the same
@@ -39,16 +39,16 @@ _FINISH, _CLOSE_TIMEOUT = 0.5, 5.0
 
 
 class MissionServer(StrictAttributes, Runnable, WithCallbacks):
-    """Executes commands from clients on one robot.
+    """Server that executes commands from clients on one robot.
 
-    A context manager that starts and closes itself.
+    Use it as a context manager to start and close it.
 
     ``run()`` serves in this thread until `stop`. ``start()``, or a ``with`` block, serves in a dedicated thread. A
     server runs once.
 
-    The robot is sent the speed 0 when the server ends. In the sound profile this also happens when the client
-    disconnects whose command is executed. There is no password: anyone who can connect can drive the robot. By default,
-    only programs on this computer can connect.
+    When the server ends, it sends the speed 0 to the robot. In the sound profile, it also does so if a client
+    disconnects while a command of this client is executed. There is no password: anyone who can connect can drive the
+    robot. By default, only programs on this computer can connect.
 
     Args:
         robot: Robot; see `Mission`. A plugin such as `Turtle()` runs in this process, in real time.
@@ -110,7 +110,7 @@ class MissionServer(StrictAttributes, Runnable, WithCallbacks):
 
     @property
     def port(self) -> int:
-        """Port that the server listens on.
+        """Port on which the server listens.
 
         Raises:
             Closed: If the server is not running.
@@ -139,7 +139,7 @@ class MissionServer(StrictAttributes, Runnable, WithCallbacks):
             except MissionFailed as error:
                 _log.warning("%s", error)
                 assert self._dialogue is not None
-                self._dialogue.failures.append(Failure(error.reason, 0, 0, ""))
+                self._dialogue.note(Failure(error.reason, 0, 0, ""))
 
         return save_or_note
 

@@ -28,7 +28,7 @@ from .syntax import (
 if TYPE_CHECKING:
     from .interpreter import ScriptInterpreter
 
-#: One statement of a line. It returns None if the next statement of the line follows.
+#: Compiled statement of a line. It returns None if the next statement of the line follows.
 Step = Callable[[Run], Outcome | None]
 
 
@@ -189,7 +189,7 @@ def _assign(statement: Assign, interpreter: ScriptInterpreter) -> Step:
             pool[symbol.place] = new
             return None
         reads_on = profile.new_variables_read_on
-        # MRC has only one place for a new name, and by now it contains the name after the value.
+        # MRC stores only one new name, and at this point the stored name is the name after the value.
         overwritten = not reads_on and following is not None and following not in user
         made = symbols.make(following if overwritten and following is not None else name)
         if made is None:

@@ -1,14 +1,14 @@
-"""The variables of a mission, and their log.
+"""Variables of a mission, and the log of their values.
 
 There are variables of the script, and system variables (``$name``) of the robot.
 
 As in MRC, all values are in one pool of doubles, in the order in which they are made. First come ``$condition`` and the
 results, then the built-in system variables, then the read and write variables of the robot, and then the variables of
-the script. This order has a visible effect: MRC checks the index of ``a[i]``, but not the index in ``set "a[9]" 1`` or
-``log "a[9]"``, which reach the value after the array.
+the script. This order has a visible effect, because MRC checks the index of ``a[i]``, but not the index in ``set "a[9]"
+1`` or ``log "a[9]"``. With too large an index, these commands use the value after the array.
 
 A system variable has three slots for each of its values: the value, its offset and its gain (`setoffset`, `setgain`).
-They form three blocks, one after the other.
+The values, the offsets and the gains form three blocks, one after the other.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _INDEX = re.compile(r"[ \t\n\v\f\r]*([+-]?[0-9]{1,9})")
 
 @dataclass(frozen=True)
 class Symbol:
-    """A variable.
+    """Variable of a mission.
 
     Attributes:
         name: Name without the ``$``.
@@ -44,7 +44,7 @@ class Symbol:
 
 
 class Symbols:
-    """The variables of a mission.
+    """Variables of a mission.
 
     Args:
         built_in: Names of the built-in system variables, in order.
@@ -54,8 +54,8 @@ class Symbols:
     Attributes:
         pool: All values.
         user: Variables of the script, by name.
-        system: System variables, by name. If two have the same name, the first one counts: MRC finds its own ``$tick``
-            before the robot's.
+        system: System variables, by name. If two variables have the same name, the first one is used: MRC finds its own
+            ``$tick`` before that of the robot.
         inputs, outputs: Read and write variables of the robot, by name.
         raw: Words of the robot's read variables in this cycle; empty before the first cycle.
     """
@@ -82,7 +82,7 @@ class Symbols:
     def find_system(self, name: str) -> Symbol | None:
         """Find a system variable, and keep it up to date from now on.
 
-        None if there is no such variable.
+        Return None if there is no such variable.
         """
         symbol = self.system.get(name)
         if symbol is not None and name not in self._live and self.inputs.get(name) is symbol:
@@ -126,13 +126,13 @@ class Symbols:
         return POOL_SIZE - self._used
 
     def make(self, name: str) -> Symbol | None:
-        """Make a variable of the script with the value 0. None if there is no room."""
+        """Make a variable of the script with the value 0; return None if there is no room."""
         return self._make(name, 1, 0)
 
     def make_array(self, name: str, size: int) -> Symbol | None:
         """Make an array of zeros.
 
-        None if there is no room. An existing variable of that name is kept.
+        Return None if there is no room. An existing variable with this name is kept.
         """
         # MRC first makes a plain variable, whose value stays unused.
         return self._make(name, size, 1)
@@ -153,7 +153,7 @@ class Symbols:
 
 
 class DataLog:
-    """The log (`log`, `control`): values of the pool, with one row per cycle.
+    """Log of values in the pool, with one row per cycle (commands `log` and `control`).
 
     A column belongs to a variable only by its number. If variables are removed and others are added, earlier rows keep
     the numbers of the old variables, as in MRC. Call `reset` first to avoid this.
@@ -194,7 +194,7 @@ class DataLog:
 
     @property
     def text(self) -> str:
-        """Rows as MRC writes them to a file.
+        """Return the rows as MRC writes them to a file.
 
         Each row has the current number of columns, and a blank follows each number.
         """

@@ -1,4 +1,4 @@
-"""The syntax tree of SMR-CL.
+"""Syntax tree of SMR-CL.
 
 A tree represents the text, but not its meaning for a robot. Whether a variable exists is checked when the line is
 executed, as in MRC. Columns are ignored when trees are compared.
@@ -31,21 +31,21 @@ UNARY_PRECEDENCE = 11
 
 @dataclass(frozen=True)
 class NumberLiteral:
-    """A number. It has a sign only if it is a parameter of a command."""
+    """Number. It has a sign only if it is a parameter of a command."""
 
     value: float
 
 
 @dataclass(frozen=True)
 class TextLiteral:
-    """A string that is a parameter of a command."""
+    """String that is a parameter of a command."""
 
     value: str
 
 
 @dataclass(frozen=True)
 class VariableName:
-    """A variable of the script, or a variable of the robot (``$name``) if `is_system`."""
+    """Variable of the script, or system variable (``$name``) if `is_system`."""
 
     name: str
     is_system: bool = False
@@ -54,7 +54,7 @@ class VariableName:
 
 @dataclass(frozen=True)
 class ArrayElement:
-    """One value of an array."""
+    """Element of an array."""
 
     array: VariableName
     index: Expression
@@ -62,7 +62,7 @@ class ArrayElement:
 
 @dataclass(frozen=True)
 class Call:
-    """A function with its arguments."""
+    """Call of a function, with its arguments."""
 
     name: str
     arguments: tuple[Expression, ...]
@@ -71,14 +71,14 @@ class Call:
 
 @dataclass(frozen=True)
 class Negate:
-    """The unary minus."""
+    """Unary minus, with its operand."""
 
     operand: Expression
 
 
 @dataclass(frozen=True)
 class Binary:
-    """Two expressions and an operator of `PRECEDENCE`."""
+    """Binary operation: two expressions, and an operator in `PRECEDENCE`."""
 
     operator: str
     left: Expression
@@ -91,7 +91,7 @@ Operand = NumberLiteral | TextLiteral | VariableName
 
 @dataclass(frozen=True)
 class SpeedSetting:
-    """``@v`` or ``@a`` with its value.
+    """Setting of speed or acceleration: ``@v`` or ``@a`` with its value.
 
     Attributes:
         letter: "v" for the speed in m/s, or "a" for the acceleration in m/s2.
@@ -103,7 +103,7 @@ class SpeedSetting:
 
 @dataclass(frozen=True)
 class CommandStatement:
-    """A command with its parameters, speeds and stop conditions.
+    """Command with its parameters, speeds and stop conditions.
 
     Attributes:
         is_broken: Whether an error follows on the line. The speeds are set, and then the line fails.
@@ -119,10 +119,10 @@ class CommandStatement:
 
 @dataclass(frozen=True)
 class WaitFor:
-    """``: (condition) | (condition)``.
+    """Line that only waits for conditions: ``: (condition) | (condition)``.
 
-    Without conditions, it represents a line that begins with a character beyond ASCII, as MRC reads it. `column` is the
-    column of the character.
+    Without conditions, the object represents a line that begins with a character beyond ASCII, as MRC reads such a
+    line. `column` is the column of the character.
     """
 
     conditions: tuple[Expression, ...]
@@ -131,14 +131,14 @@ class WaitFor:
 
 @dataclass(frozen=True)
 class Evaluate:
-    """``eval``."""
+    """Statement ``eval`` with its expressions."""
 
     values: tuple[Expression, ...]
 
 
 @dataclass(frozen=True)
 class If:
-    """Jump to a label if the condition is not 0.
+    """Statement ``if``: jump to a label if the condition is not 0.
 
     Attributes:
         column: Column of the label.
@@ -151,7 +151,7 @@ class If:
 
 @dataclass(frozen=True)
 class Assign:
-    """An assignment.
+    """Assignment to a variable or to an element of an array.
 
     Attributes:
         following: Name of a script variable that follows immediately on the line, if there is one. MRC reads this name
@@ -165,14 +165,14 @@ class Assign:
 
 @dataclass(frozen=True)
 class Switch:
-    """``switch``: the lines up to the matching `Case` are skipped."""
+    """Statement ``switch``: the lines up to the matching `Case` are skipped."""
 
     value: Expression
 
 
 @dataclass(frozen=True)
 class Case:
-    """``case`` that is not skipped.
+    """Statement ``case`` that is not skipped.
 
     The lines up to the next matching case or `EndSwitch` are skipped.
     """
@@ -182,7 +182,7 @@ class Case:
 
 @dataclass(frozen=True)
 class EndSwitch:
-    """``endswitch``."""
+    """Statement ``endswitch``."""
 
 
 Statement = CommandStatement | WaitFor | Evaluate | If | Assign | Switch | Case | EndSwitch
@@ -190,7 +190,7 @@ Statement = CommandStatement | WaitFor | Evaluate | If | Assign | Switch | Case 
 
 @dataclass(frozen=True)
 class Problem:
-    """An error in a line.
+    """Error in a line.
 
     Attributes:
         column: Column of the error, counted from 1.
@@ -203,7 +203,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class ScriptLine:
-    """A line: its statements up to the first problem, and that problem.
+    """Parsed line: its statements up to the first problem, and this problem.
 
     Attributes:
         statements: Statements, in order. Only assignments can be followed by other statements.

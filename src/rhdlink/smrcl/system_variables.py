@@ -1,6 +1,6 @@
-"""The built-in system variables of a mission (``$odox``, ``$time``).
+"""Built-in system variables of a mission (``$odox``, ``$time``).
 
-The module has their names, and computes their values in each cycle.
+This module defines their names, and computes their values in each cycle.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _PLACES = {name: number for number, name in enumerate(BUILT_IN)}
 
 
 def _span(first: str, last: str) -> slice:
-    """Slice of the positions from the first to the last variable."""
+    """Return the slice of the positions from the first to the last variable."""
     return slice(_PLACES[first], _PLACES[last] + 1)
 
 
@@ -62,7 +62,7 @@ _SPEED_REFERENCE, _MOTCON, _TICK = _PLACES["hakospeedref"], _span("motcon_lvel",
 #: Initial values in MRC's structures before any measurement.
 _INITIAL = {"batteryvoltage": 14.0, "nolinecamr": 1.0, "nolinecaml": 1.0}
 
-#: Read variables of the robot that MRC shows under another name: the variable, and whether its second value counts
+#: System variable -> read variable of the robot that MRC shows under this name, and whether its second value counts
 #: millionths.
 _GPS = {
     "gpseasting": ("GPSeasting", True),
@@ -105,7 +105,7 @@ class SystemVariables:
         self._block = slice(first, first + 3 * len(BUILT_IN), 3)
 
     def provide(self, values: Mapping[str, float]) -> None:
-        """Set values that are not computed here, from a user's program.
+        """Set values that a user's program provides, because this module does not compute them.
 
         Raises:
             BadValue: If a name is not a built-in system variable.

@@ -1,8 +1,8 @@
-"""The robot of a mission.
+"""Robot of a mission.
 
-It converts its variables to a pose and distances, and speeds to its variables.
+The variables of the robot are converted to a pose and distances, and speeds are converted to variables.
 
-One cycle of MRC's main loop (mrc.c) in two halves, with the script between them::
+A cycle of MRC's main loop (mrc.c) has two halves, and the script runs between them::
 
     sense   read variables -> infrared, line -> odometry -> inputs of motion control
     act     motion control -> written variables
@@ -38,7 +38,7 @@ _INT_MIN, _INT_MAX = -(2**31), 2**31 - 1
 
 
 class Vehicle:
-    """The state of a robot in a mission.
+    """State of a robot in a mission.
 
     Args:
         conf: Description of the robot.
@@ -113,20 +113,20 @@ class Vehicle:
             if symbol is not None:
                 # An index beyond the variable reads the following values, as in MRC; but here it cannot leave the pool.
                 if not 0 <= symbol.place + index < len(self.symbols.pool):
-                    raise BadConfiguration(f"routeinput from {route.variable}: there is no such value")
+                    raise BadConfiguration(f"routeinput uses {route.variable}, which is not a value of the robot")
                 self.functions.route_input(route.module, route.function, route.parameter, symbol.place + index)
 
     def _counter(self, raw: Mapping[str, Sequence[int]], name: str) -> int:
-        """First word of a read variable; 0 if the robot has no such variable, as in MRC."""
+        """Return the first word of a read variable; 0 if the robot has no such variable, as in MRC."""
         return raw[name][0] if name in self._read else 0
 
     # -- a cycle ---------------------------------------------------------------------------------
 
     def begin(self, raw: Mapping[str, Sequence[int]]) -> None:
-        """Take the first values: the counters before the first step."""
+        """Use the first values as the counters before the first step."""
         self.symbols.refresh(raw)
         if self.conf.drive is DriveKind.VELOMEGA:
-            # Without the offset and gain of the variable, which apply from the first step.
+            # Do not apply the offset and the gain of the variable, which are used from the first step on.
             self.odometry.heading = self._counter(raw, "rotpos") * self.heading_gain
         self.odometry.begin(*(self._counter(raw, name) for name in self._counters))
 
@@ -311,7 +311,7 @@ class VehicleOutputs:
     def take_changed(self) -> dict[str, list[int]]:
         """Remove and return the variables that were set since the last call, by name.
 
-        Each has all its words.
+        Each variable has all its words.
         """
         changed, self._changed = self._changed, {}
         return {name: list(words) for name, words in changed.items()}

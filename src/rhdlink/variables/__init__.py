@@ -1,4 +1,4 @@
-"""The variable database: tables of words, types of values, and declarations in classes."""
+"""Variable database of a robot: tables of words, types of values, and declarations in classes."""
 
 from __future__ import annotations
 

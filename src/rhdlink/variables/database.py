@@ -1,4 +1,4 @@
-"""The variable database: the values that a robot reports and receives, by name.
+"""Variable database: the values that a robot reports and receives, by name.
 
 There are two tables. Read variables go from the robot to programs, and write variables go from programs to the robot.
 The words "read" and "write" take the view of the programs, as in the original. A `Database` belongs to one thread. If
@@ -21,7 +21,7 @@ client     write      the program set it, and it has not been sent   a word diff
 
 Here `changed` follows the ordinary sources; the original's ``_64`` sources leave it undefined. Neither flag shows
 whether a read variable is *new*, because the original sends a variable in every batch once it has been set. The flag
-`fresh`, which the original does not have, shows it. It is set when a variable arrived in the last batch with a
+`fresh`, which the original does not have, shows this. It is set when a variable arrived in the last batch with a
 different time stamp or value.
 """
 
@@ -66,7 +66,7 @@ class TimeStamp(NamedTuple):
 
 
 def now() -> TimeStamp:
-    """Current time on this computer's clock."""
+    """Return the current time on this computer's clock."""
     # Use whole nanoseconds: a float of seconds has steps of 0.2 us, and rounding could carry into the second.
     nanoseconds = time.time_ns()
     return TimeStamp(nanoseconds // 1_000_000_000, nanoseconds // 1000 % 1_000_000)
@@ -75,27 +75,27 @@ def now() -> TimeStamp:
 def _fitting(words: ArrayLike | int, size: int) -> ArrayLike:
     """Check that the words fit a variable of `size` words.
 
-    One word can be given for all of them.
+    One word can be given for all words of the variable.
     """
     if isinstance(words, int):
         if not -(2**31) <= words < 2**31:
-            raise BadValue(f"{words} does not fit 32 bits")
+            raise BadValue(f"{words} is out of range; expected a 32-bit integer")
         return words
     array = np.asarray(words)
     # A scalar sets all words, like the original's setVariable in a loop. Any other value needs one number per word.
     if array.shape not in ((), (size,)):
-        raise BadValue(f"expected {size} words, got the shape {array.shape}")
+        raise BadValue(f"expected {size} words, got an array of shape {array.shape}")
     # numpy would silently truncate a float and wrap a number of 64 bits, and the robot would move at another speed.
     if array.dtype != np.int32 and size:
         if array.dtype.kind not in "iub":
             raise BadValue(f"{words!r} are not 32-bit integers")
         if not -(2**31) <= int(array.min()) <= int(array.max()) < 2**31:
-            raise BadValue(f"{array.min()} to {array.max()} do not fit 32 bits")
+            raise BadValue(f"values from {array.min()} to {array.max()} are out of range; expected 32-bit integers")
     return array
 
 
 class VariableTable:
-    """The variables of one direction. The id of a variable is its position in the table.
+    """Table of the variables of one direction. The id of a variable is its position in the table.
 
     Attributes:
         direction: "r" or "w".
@@ -130,10 +130,10 @@ class VariableTable:
 
     def _extend(self, rows: Sequence[SymbolRow]) -> None:
         for row in rows:
-            self._ids.setdefault(row.name, len(self.rows))  # of several variables with one name, the first is found
+            self._ids.setdefault(row.name, len(self.rows))  # if names are equal, the first is found
             self.rows.append(row)
-        # Everything is rebuilt, so the cost of `add` grows with the number of variables. Plugins add their variables
-        # once, before the first tick.
+        # Everything is rebuilt, so the cost of `add` grows with the number of variables. This is acceptable, because
+        # plugins add their variables once, before the first tick.
         self.layout = TableLayout([row.length for row in self.rows])
         self._sizes, self._starts = self.layout.sizes, self.layout.offsets.tolist()
         count, before = self.layout.count, len(self.updated)
@@ -162,9 +162,9 @@ class VariableTable:
         return name in self._ids
 
     def find(self, name: str) -> int | None:
-        """Find the id of the variable with this name, the first one if there are several.
+        """Return the id of the variable with this name; if there are several, the id of the first.
 
-        None if there is none.
+        Return None if there is none.
         """
         return self._ids.get(name)
 
@@ -191,17 +191,17 @@ class VariableTable:
     # -- one variable --------------------------------------------------------------------------
 
     def value(self, identity: int) -> Words:
-        """Words of a variable, as a read-only view that changes with the variable.
+        """Return the words of a variable, as a read-only view that changes with the variable.
 
         Raises:
             BadValue: If there is no variable with this id.
         """
         start = self.start(identity)
-        # Read-only: writing here would set no stamp and no flag, so the value would never be sent.
+        # Make the view read-only: writing to it would set no time stamp and no flag, so the value would never be sent.
         return read_only(self.values[start : start + self._sizes[identity]])
 
     def words(self, identity: int) -> int | Words:
-        """Words of a variable for users: an int if there is one word, otherwise a read-only copy.
+        """Return the words of a variable for users: an int if there is one word, otherwise a read-only copy.
 
         Raises:
             BadValue: If there is no variable with this id.
@@ -210,11 +210,11 @@ class VariableTable:
         return int(words[0]) if len(words) == 1 else read_only(words.copy())
 
     def stamp(self, identity: int) -> TimeStamp:
-        """Time at which a variable was last set."""
+        """Return the time at which a variable was last set."""
         return TimeStamp(*self.stamps[identity].tolist())
 
     def set(self, identity: int, words: ArrayLike, stamp: TimeStamp | None = None) -> None:
-        """Set a whole variable on this side. Marks it as updated and dirty.
+        """Set a whole variable on this side, and mark it as updated and dirty.
 
         Args:
             identity: Id of the variable.
@@ -227,7 +227,7 @@ class VariableTable:
         start, size = self.start(identity), self._sizes[identity]
         words = _fitting(words, size)
         if size == 1 and type(words) is int:
-            # The usual case, for which numpy would take five times as long.
+            # This is the usual case, for which numpy would take five times as long.
             _WORD_FORM.pack_into(self.memory, WORD * start, words)
         else:
             self.values[start : start + size] = words
@@ -236,9 +236,9 @@ class VariableTable:
         self.dirty.add(identity)
 
     def start(self, identity: int) -> int:
-        """Index of the first word of a variable in `values`.
+        """Return the index of the first word of a variable in `values`.
 
-        It does not change when variables are added.
+        This index does not change when variables are added.
 
         Raises:
             BadValue: If there is no variable with this id.
@@ -253,7 +253,7 @@ class VariableTable:
     def select(self, ids: Sequence[int] | Ids, width: int = 2) -> Selection:
         """Prepare variables for `set_many` and for sending.
 
-        This is fast if they are the same as last time.
+        This is fast if the variables are the same as in the last call.
 
         Raises:
             BadValue: If there is no variable with one of the ids.
@@ -272,11 +272,11 @@ class VariableTable:
         return selection
 
     def set_many(self, selection: Selection, words: ArrayLike, stamp: TimeStamp | None = None) -> None:
-        """Set many variables on this side. Marks them as updated and dirty.
+        """Set many variables on this side, and mark them as updated and dirty.
 
         Args:
             selection: Variables, made by `select`.
-            words: Words of all of them, one after another, or one word for all.
+            words: Words of all variables, one after another, or one word for all of them.
             stamp: Time stamp. The default is the current time of `clock`.
 
         Raises:
@@ -288,11 +288,11 @@ class VariableTable:
         self.dirty.add_many(selection.ids, ordered=selection.is_ordered)
 
     def receive(self, data: DataPackage, *, updates: bool = True) -> None:
-        """Store values that came over the wire.
+        """Store values that were received over the wire.
 
-        Marks them as changed and fresh, and as updated if `updates`.
+        Mark the variables as fresh, as changed if a word differs, and as updated if `updates`.
 
-        If a variable is contained twice, its last value counts.
+        If the package contains a variable twice, its last value is used.
         """
         selection = data.selection
         if not len(data):
@@ -309,7 +309,7 @@ class VariableTable:
         if updates:
             self.updated[rows] = True
         # Remember these variables, so that `begin_round` clears only their flags. Clearing all flags at each sync would
-        # be slower the more variables there are.
+        # take longer with more variables.
         self._received.append(rows)
 
     def begin_round(self, *, updates: bool = True) -> None:
@@ -326,7 +326,7 @@ class VariableTable:
 
 
 class Database:
-    """Both tables of variables.
+    """Database that consists of the two tables of variables.
 
     Attributes:
         read: Table of the variables from the robot to programs.
@@ -353,19 +353,19 @@ class Database:
         return self.read if direction == "r" else self.write
 
     def freeze(self) -> None:
-        """Allow no more variables to be added."""
+        """Prevent that more variables are added."""
         self.read.is_frozen = self.write.is_frozen = True
 
     def encode_handshake(self, granted: str | None, width: int = 2) -> bytes:
         """Encode the handshake of a server: access, both tables, and a value of each variable.
 
-        Freezes the tables.
+        This freezes the tables.
 
         Args:
             granted: "r" or "w"; None for no access, which is the original's refusal.
             width: Number of 32-bit words of a time stamp.
         """
-        # A client that has received the tables is never sent another variable.
+        # The tables are sent to a client only once, so no variable may be added afterwards.
         self.freeze()
         if self._tables is None:
             self._tables = encode_table("w", self.write.rows) + encode_table("r", self.read.rows)
@@ -374,7 +374,7 @@ class Database:
 
 
 def database_of(handshake: Handshake) -> Database:
-    """Create the tables with the values of a handshake.
+    """Return a database with the tables and values of a handshake.
 
     Every variable that was ever set is fresh.
     """

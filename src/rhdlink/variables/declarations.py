@@ -1,4 +1,4 @@
-"""Variables as typed properties: declared in a class, and bound by name to a database.
+"""Variables as typed properties. They are declared in a class, and bound by name to a database.
 
 A declaration does not depend on the side that uses it. The robot's side sets `Read` variables and reads `Write`
 variables. A client program does the reverse.
@@ -31,7 +31,7 @@ _WHOSE = {"r": "read", "w": "write"}
 
 
 class Declaration(Generic[V, S]):
-    """A variable as a property; see `Read` and `Write`.
+    """Declared variable as a property; see `Read` and `Write`.
 
     Attributes:
         direction: "r" for values from robot to program, "w" for values from program to robot.
@@ -129,7 +129,7 @@ class Declaration(Generic[V, S]):
 
 
 class Read(Declaration[V, S]):
-    """A variable that the robot sets and programs read.
+    """Variable that the robot sets and programs read.
 
     Args:
         type: Type of the values, such as `Int32` or `Scaled`.
@@ -138,7 +138,7 @@ class Read(Declaration[V, S]):
         doc: Description of the variable.
         name: Name in the robot's database. The default is the name of the attribute.
         order: Order in which the robot's machine stores values of several words. The default is the order of the class.
-        optional: Whether a robot may lack the variable. If it does, using the variable raises `NotThere`.
+        optional: Whether a robot may lack the variable. If a robot lacks it, the use of the variable raises `NotThere`.
 
     Raises:
         BadValue: If an argument is not valid.
@@ -177,7 +177,7 @@ class Read(Declaration[V, S]):
 
 
 class Write(Declaration[V, S]):
-    """A variable that programs set and the robot reads. For its arguments, see `Read`."""
+    """Variable that programs set and the robot reads. For the arguments, see `Read`."""
 
     direction = "w"
 
@@ -281,7 +281,7 @@ def refuse_hiding(declared: type[Declarations], base: type[Declarations]) -> Non
 
 
 def create_variables(declared: type[Declarations], database: Database) -> None:
-    """Create the variables that a class declares in a database.
+    """Create in a database the variables that a class declares.
 
     Existing variables are not changed.
 
@@ -297,7 +297,7 @@ def create_variables(declared: type[Declarations], database: Database) -> None:
 
 
 def bind(instance: Declarations, database: Database, lock: threading.RLock | None = None) -> None:
-    """Find the variables that an instance declares in a database, by name.
+    """Find in a database, by name, the variables that an instance declares.
 
     Args:
         instance: Object that reads and sets its variables in the database from now on.
@@ -336,13 +336,13 @@ def _reader(
 ) -> Callable[[], Any]:
     """Return the function that a property read calls.
 
-    It is prepared, so that a read takes half a microsecond.
+    As much as possible is prepared, so that a read takes only half a microsecond.
     """
     read = declaration.type.reader(declaration.count, declaration.order or order)
     offset = WORD * table.start(identity)
 
     def read_now() -> Any:
-        # Without the lock, half of a value of two words might come from the batch that is just arriving. Look up the
+        # Without the lock, one of two words of a value might be from the batch that is just arriving. Look up the
         # table's memory at each read, because it is replaced when a plugin adds a variable.
         with lock:
             return read(table.memory, offset)[0]
@@ -353,7 +353,7 @@ def _reader(
 def _difference(declaration: Declaration[Any, Any], database: Database) -> str | None:
     """Describe how the database differs from the declaration.
 
-    None if only an optional variable is missing.
+    Return None if there is no difference, or if only an optional variable is missing.
     """
     name, whose = declaration.name, _WHOSE[declaration.direction]
     identity = database.table(declaration.direction).find(name)

@@ -1,4 +1,4 @@
-"""Dirty sets: for each peer, the variables that have changed and must still be sent."""
+"""Dirty sets. A dirty set contains the variables that have changed and must still be sent to a peer."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _NONE = read_only(np.empty(0, np.int64))
 
 
 class DirtySet:
-    """A set of ids that is emptied as a whole.
+    """Set of ids that is emptied as a whole.
 
     Its cost depends on its size, not on the number of variables.
 

@@ -14,14 +14,14 @@ from .database import Database, TimeStamp, VariableTable
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable at one moment.
+    """Variable at one moment.
 
     Attributes:
         name: Name in the robot's database.
         direction: "r" from robot to program, "w" from program to robot.
         identity: Id of the variable, which is its position in the table.
         length: Number of 32-bit words.
-        value: Value in the declared type. If undeclared, an int for one word, otherwise a read-only int32 array.
+        value: Value in the declared type; for an undeclared variable, an int or a read-only int32 array.
         stamp: Time at which it was set, on the clock of the side that set it.
         updated: See `rhdlink.Variables.updated`.
         changed: See `rhdlink.Variables.changed`.
@@ -45,10 +45,10 @@ class Variable:
 
 @dataclass(frozen=True)
 class Change:
-    """A variable that arrived with a different time stamp or value.
+    """Change of a variable, which arrived with a different time stamp or value.
 
     Attributes:
-        value: Value in the declared type. If undeclared, an int for one word, otherwise a read-only int32 array.
+        value: Value in the declared type; for an undeclared variable, an int or a read-only int32 array.
         stamp: Time at which it was set, on the clock of the side that set it.
         changed: Whether the value differs from the previous value.
     """
@@ -60,7 +60,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Update:
-    """The changes of one sync.
+    """Changes of one sync.
 
     Attributes:
         changes: Changes by name; never empty.
@@ -71,7 +71,7 @@ class Update:
     received: Stamp
 
     def __getitem__(self, name: str) -> Any:
-        """Value of a variable that changed. Raises KeyError if it did not change."""
+        """Return the value of a variable that has changed. Raises KeyError if it has not changed."""
         return self.changes[name].value
 
     def __contains__(self, name: object) -> bool:

@@ -1,11 +1,11 @@
-"""Types of 32-bit words: numbers, text and structures.
+"""Value types, which convert between 32-bit words and numbers, text or structures.
 
 Values are packed as in the memory of a C++ program.
 
-The wrappers around the original copy a value's memory into as many words as it needs, and each word crosses the network
-on its own (docs/protocols/rhd.md, Encoding). So a double is two words, in the order of the robot's machine. The low
-word is first on a little-endian machine, which every known robot is, and the high word is first on a big-endian one.
-The ``order`` of a declaration selects the order. A value of one word is the same in both orders.
+The wrappers around the original copy the memory of a value into as many words as the value needs, and each word is sent
+separately (docs/protocols/rhd.md, Encoding). So a double consists of two words, in the order of the robot's machine. On
+a little-endian machine, the low word is first; every known robot is little-endian. On a big-endian machine, the high
+word is first. The ``order`` of a declaration selects the order. A value of one word is the same in both orders.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ A = TypeVar("A")
 S = TypeVar("S")
 
 _MARK: dict[str, Literal["<", ">"]] = {"little": "<", "big": ">"}
-#: Format letters of struct, by the names of numpy.
+#: Name of a number type in numpy -> format letter of struct.
 _LETTERS = {"i4": "i", "u4": "I", "i8": "q", "f4": "f", "f8": "d"}
 _WORD_SIZE = 4
-#: One word, in the order of this machine.
+#: Reader of one word in the order of this machine.
 _read_word = struct.Struct("=i").unpack_from
 _read_two_words = struct.Struct("=ii").unpack_from
 _ZERO = (0,)
@@ -62,7 +62,7 @@ def wrapped(count: float, bits: int = 32) -> int:
 class ValueType(Generic[V, A, S]):
     """Type of a variable's values.
 
-    One value is a `V`, many values are an `A`, and an `S` can be set.
+    `V` is the Python type of one value, `A` is the type of several values, and `S` is the type that can be set.
 
     Attributes:
         unit: Unit of the values; "" for none.
@@ -71,7 +71,7 @@ class ValueType(Generic[V, A, S]):
     unit: str = ""
 
     def length(self, count: int) -> int:
-        """Number of 32-bit words that `count` values need."""
+        """Return the number of 32-bit words that `count` values need."""
         raise NotImplementedError
 
     def unpack(self, words: Words, order: Order) -> V:
@@ -111,12 +111,12 @@ class ValueType(Generic[V, A, S]):
 
 
 def _memory(words: Words, order: Order) -> bytes:
-    """Bytes of these words in the memory of the robot's machine."""
+    """Return the bytes of these words in the memory of the robot's machine."""
     return words.tobytes() if order == sys.byteorder else words.byteswap().tobytes()
 
 
 def _words(memory: bytes, order: Order) -> Words:
-    """Inverse of `_memory`. Zeros fill the rest of the last word."""
+    """Return the words for these bytes, as the inverse of `_memory`. Zeros fill the rest of the last word."""
     words = np.frombuffer(memory + bytes(-len(memory) % 4), np.int32)
     return words if order == sys.byteorder else words.byteswap()
 
@@ -127,7 +127,7 @@ def _shaped(values: ArrayLike, count: int, what: str) -> NDArray[Any]:
     except (ValueError, TypeError, OverflowError) as error:
         raise BadValue(f"{values!r} is not {count} values of {what}: {error}") from None
     if array.shape != (count,):
-        raise BadValue(f"{what}: expected {count} values, got the shape {array.shape}")
+        raise BadValue(f"{what}: expected {count} values, got an array of shape {array.shape}")
     return array
 
 
@@ -136,7 +136,7 @@ def _read_bool(memory: bytearray, offset: int) -> tuple[bool]:
 
 
 class _Number(ValueType[V, A, S]):
-    """Numbers of one machine type."""
+    """Type for numbers of one machine type."""
 
     def __init__(self, name: str, type_name: str) -> None:
         self._name = name
@@ -270,7 +270,7 @@ def _numbers(values: Any, count: int, what: str) -> NDArray[np.float64]:
 
 
 class _Flag(ValueType[bool, NDArray[np.bool_], bool]):
-    """A word that is zero or not zero. It is written as 0 or 1."""
+    """Type for a word that is zero or not zero. It is written as 0 or 1."""
 
     def __repr__(self) -> str:
         return "Bool"
@@ -290,12 +290,12 @@ class _Flag(ValueType[bool, NDArray[np.bool_], bool]):
     def pack_many(self, values: ArrayLike, count: int, order: Order) -> Words:
         array = _shaped(values, count, "Bool")
         if array.dtype.kind not in "b" and not (array.dtype.kind in "iu" and np.isin(array, (0, 1)).all()):
-            raise BadValue(f"{values!r} is not Bool; expected True or False")
+            raise BadValue(f"{values!r} is not a Bool; expected True or False")
         return array.astype(np.int32)
 
 
 class Scaled(ValueType[float, NDArray[np.float64], SupportsFloat]):
-    """A fixed-point number: a 32-bit integer that counts steps of `scale`.
+    """Type for fixed-point numbers: a 32-bit integer counts steps of `scale`.
 
     Written values are rounded to the nearest step, whereas C programs drop the fraction.
 
@@ -360,7 +360,7 @@ class Scaled(ValueType[float, NDArray[np.float64], SupportsFloat]):
 
 
 class _Millionths(ValueType[float, NDArray[np.float64], SupportsFloat]):
-    """A number in two words: its whole part, and its fraction in millionths, both with its sign."""
+    """Type for a number in two words: the whole part, and the fraction in millionths, each with the sign."""
 
     def __repr__(self) -> str:
         return "Millionths"
@@ -395,12 +395,12 @@ class _Millionths(ValueType[float, NDArray[np.float64], SupportsFloat]):
         part[carried] = 0
         fits = (whole >= _LEAST) & (whole <= _MOST)
         if not fits.all():
-            raise BadValue(f"{numbers[~fits][0]} does not fit; expected Millionths, {_LEAST} to {_MOST}")
+            raise BadValue(f"{numbers[~fits][0]} is out of range for Millionths; expected {_LEAST} to {_MOST}")
         return np.stack((whole, part), axis=1).astype(np.int32).reshape(-1)
 
 
 class Text(ValueType[str, tuple[str, ...], str]):
-    """Text of at most `size` bytes of UTF-8, padded with NUL.
+    """Type for text of at most `size` bytes of UTF-8, padded with NUL.
 
     Reading ends at the first NUL and replaces bytes that are not UTF-8.
 
@@ -442,7 +442,7 @@ class Text(ValueType[str, tuple[str, ...], str]):
 
 
 class Structure(ValueType[np.void, NDArray[np.void], Any]):
-    """A C structure, as a structured numpy type.
+    """Type for a C structure, which is a structured numpy type.
 
     Several structures follow each other as in an array.
 
@@ -475,7 +475,7 @@ class Structure(ValueType[np.void, NDArray[np.void], Any]):
         except (ValueError, TypeError, OverflowError) as error:
             raise BadValue(f"{values!r} is not {count} of {self}: {error}") from None
         if array.shape != (count,):
-            raise BadValue(f"{self}: expected {count} values, got the shape {array.shape}")
+            raise BadValue(f"{self}: expected {count} values, got an array of shape {array.shape}")
         clean = np.zeros(count, wire)
         _copy_fields(clean, array)
         return _words(clean.tobytes(), order)

@@ -1,1 +1,1 @@
-"""The RHD byte format, sans-IO: declarations in `schema`, encoders and decoders."""
+"""Byte format of RHD, without sockets (sans-IO): declarations in `schema`, encoders and decoders."""

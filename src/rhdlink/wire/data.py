@@ -1,9 +1,9 @@
-"""Data packages in numpy: which words of a package belong to which words of a table.
+"""Data packages as numpy arrays, and the positions of their words in the tables of variables.
 
 A data package is a sequence of entries: id, time stamp, data. If the same variables arrive in the same order, all their
 words have the same positions. So the positions are computed once, as a `Selection`, and every further package is copied
-with a few numpy calls, for any lengths of its variables. 1000 variables take 20 us instead of the milliseconds of
-a loop.
+with a few numpy calls, even if its variables have different lengths. For 1000 variables, this takes 20 us; a loop would
+take milliseconds.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Words = NDArray[np.int32]
 #: Time stamps: a row of seconds and microseconds for each variable.
 Stamps = NDArray[np.int64]
 
-#: A word on the wire.
+#: Number type of a word on the wire.
 _WIRE = np.dtype(">i4")
 _LOW = 0xFFFFFFFF
 #: Maximum number of selections that are remembered. Computing a selection takes ten times as long as using it. A robot
@@ -63,9 +63,9 @@ class TableLayout:
 
 
 class Selection:
-    """Some variables of a table, with the positions of their words.
+    """Selection of variables of a table, with the positions of their words.
 
-    The positions are given in a data package and in the table's flat storage.
+    Each position is given twice: in a data package, and in the flat storage of the table.
 
     Attributes:
         ids: Ids of the variables, in the order of the package.
@@ -111,7 +111,7 @@ class Selection:
             self._stamped = (self.at + 1)[:, None] + np.arange(width)
 
     def selects(self, ids: Ids) -> bool:
-        """Whether these are its variables, in this order."""
+        """Whether this selection consists of these variables, in this order."""
         return ids is self.ids or ids.tobytes() == self._key
 
     # -- reading -------------------------------------------------------------------------------
@@ -119,7 +119,7 @@ class Selection:
     def fits(self, words: Words) -> bool:
         """Whether the words of a package belong to these variables.
 
-        If so, their ids are at the expected positions.
+        This is true if the ids of the variables are at the expected positions.
         """
         return words[self.at].tobytes() == self._expected
 
@@ -166,7 +166,7 @@ class Selection:
 def remember(known: dict[K, Selection], key: K, selection: Selection) -> None:
     """Store a selection as the newest one.
 
-    If there are already `_REMEMBERED`, drop the oldest one.
+    If `_REMEMBERED` selections are already stored, drop the oldest one.
     """
     known.pop(key, None)  # so that it becomes the newest, because a dict keeps the order of insertion
     if len(known) >= _REMEMBERED:
@@ -175,9 +175,9 @@ def remember(known: dict[K, Selection], key: K, selection: Selection) -> None:
 
 
 class DataPackage:
-    """One checked data package with values of variables.
+    """Checked data package with values of variables.
 
-    If a variable is in it twice, the last value counts.
+    If the package contains a variable twice, the last value is used.
 
     Attributes:
         direction: "r" from robot to program, or "w" from program to robot.
@@ -220,9 +220,9 @@ class DataPackage:
 
 
 class Cursor:
-    """A position in a partly received data package.
+    """Position in a partly received data package.
 
-    It moves from entry to entry, as far as they have arrived.
+    The position moves from entry to entry, as far as the entries have arrived.
 
     The entries are first compared with an earlier package of the same number of entries. From the first difference,
     entries are found one by one, because only the id of an entry determines its end.

@@ -1,9 +1,9 @@
-"""Decoders from bytes to checked batches, sans-IO, for both directions.
+"""Decoders from bytes to checked batches, for both directions, without sockets (sans-IO).
 
 `ServerDecoder` reads the bytes of a server, and `ClientDecoder` reads the bytes of a client. Feed them bytes in chunks
 of any size, and take whole batches out. A decoder checks counts, ids and lengths before it returns a part of a batch or
-allocates memory for it. The original has no such checks, and one hostile number ends it (docs/protocols/rhd.md,
-Defects).
+allocates memory for it. The original has no such checks, so a single hostile number can crash it
+(docs/protocols/rhd.md, Defects).
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Limits:
 
 
 class _Decoder:
-    """Splits the bytes of one direction of a connection into batches.
+    """Decoder that splits the bytes of one direction of a connection into batches.
 
     Args:
         limits: Limits on the data of the peer.
@@ -91,11 +91,11 @@ class _Decoder:
         self._buffer += data
 
     def _refuse(self, reason: str, at: int | None = None) -> NoReturn:
-        """Reject the connection's data from here on."""
+        """Reject all further data of the connection."""
         offset = (self._at if at is None else at) - self._start
         packet = f"batch at byte {self.offset} of the connection"
         self._failure = PacketError(reason, packet=packet, offset=offset)
-        self._buffer = b""  # it is no longer needed, and might be large
+        self._buffer = b""  # the buffer is no longer needed, and might be large
         raise self._failure
 
     def _refuse_package(self, expected: str, at: int | None = None, *, letters: int = 2) -> NoReturn:
@@ -114,7 +114,7 @@ class _Decoder:
             self._refuse(f"no end within {self.limits.batch} bytes")
 
     def _take_count(self, what: str, most: int) -> int | None:
-        """Count of the current package; None if it has not arrived."""
+        """Return the count of the current package; None if it has not arrived."""
         if len(self._buffer) - self._at < HEAD_SIZE:
             return None
         (count,) = INT.unpack_from(self._buffer, self._at + 2)
@@ -123,15 +123,15 @@ class _Decoder:
         return int(count)
 
     def _take_data(self, direction: str, layout: TableLayout, width: int) -> DataPackage | None:
-        """The current data package; None if it has not arrived completely."""
+        """Return the current data package; None if it has not arrived completely."""
         buffer, start = self._buffer, self._at + HEAD_SIZE
         cursor = self._cursor
         if cursor is None:
             count = self._take_count(f"data package 'd{direction}'", layout.count)
             if count is None:
                 return None
-            # The common case: the same variables as in the last package with this count. Compare all ids at once, and
-            # do not check the entries one by one.
+            # In the common case, the package has the same variables as the last package with this count. Compare all
+            # ids at once instead of checking the entries one by one.
             guess = self._known.get((direction, count))
             if guess is not None and len(buffer) - start >= WORD * guess.size:
                 package = DataPackage.read(direction, guess, buffer, start)
@@ -163,14 +163,14 @@ class _Decoder:
 
 
 class ServerDecoder(_Decoder):
-    """Decodes the bytes of a server: one `Handshake`, then a `Batch` for each sync.
+    """Decoder of the bytes of a server: one `Handshake`, then a `Batch` for each sync.
 
     Args:
         width: Number of 32-bit words of a time stamp, 2 or 4. If None, it is detected from the handshake.
         limits: Limits on the data of the server.
 
     Attributes:
-        handshake: The handshake, once it has been taken.
+        handshake: Handshake, after it was taken.
 
     Raises:
         BadValue: If `width` is not valid.
@@ -267,7 +267,7 @@ class ServerDecoder(_Decoder):
         return len(there) == 2
 
     def _take_table(self, direction: str) -> tuple[SymbolRow, ...] | None:
-        """The current symbol table; None if it has not arrived completely."""
+        """Return the current symbol table; None if it has not arrived completely."""
         name = f"table 't{direction}'"
         count = self._take_count(name, self.limits.variables)
         start = self._at + HEAD_SIZE
@@ -290,9 +290,9 @@ class ServerDecoder(_Decoder):
         return tuple(rows)
 
     def _find_width(self) -> int | None:
-        """Detect the words of a time stamp from the structure after the tables.
+        """Return the number of words of a time stamp, detected from the data after the tables.
 
-        None if more bytes are needed.
+        Return None if more bytes are needed.
 
         The result is the width for which all ids, counts and letters are at the right positions. Two words are accepted
         as soon as they fit. A stream of four looks like a stream of two only if about 48 bits happen to match
@@ -315,7 +315,7 @@ class ServerDecoder(_Decoder):
 
 
 class _WidthProbe:
-    """Checks whether the data packages of a handshake fit time stamps of `width` words.
+    """Check of a handshake: whether its data packages fit time stamps of `width` words.
 
     Attributes:
         width: Number of words.
@@ -355,7 +355,7 @@ class _WidthProbe:
 
 
 class ClientDecoder(_Decoder):
-    """Decodes the bytes of a client: one access request, then a `Request` for each sync.
+    """Decoder of the bytes of a client: one access request, then a `Request` for each sync.
 
     Args:
         layout: Layout of the write table. Clients send values only for this table.
@@ -364,7 +364,7 @@ class ClientDecoder(_Decoder):
         limits: Limits on the data of the client.
 
     Attributes:
-        access: Requested access, "r" or "w", once it has been taken.
+        access: Requested access, "r" or "w", after it was taken.
 
     Raises:
         BadValue: If `width` is not valid.

@@ -1,4 +1,4 @@
-"""Dissect the bytes of one direction of a connection into packages.
+"""Dissection of the bytes of one direction of a connection into packages.
 
 The declarations in `schema` are used for this.
 
@@ -25,7 +25,7 @@ _ROLE = {"r": "reader", "w": "master"}
 
 @dataclass(frozen=True)
 class PackagePart:
-    """Some bytes of a package.
+    """Part of a package: some bytes and their meaning.
 
     Attributes:
         offset: Offset of the first byte.
@@ -42,15 +42,15 @@ class PackagePart:
 
 @dataclass
 class Piece:
-    """A package, or bytes that belong to no package.
+    """Piece of a dissection: a package, or bytes that belong to no package.
 
     Attributes:
         offset: Offset of the first byte.
-        batch: Number of batches that ended before it; the handshake is the first batch.
+        batch: Number of batches that ended before this piece. The handshake is the first batch.
         package: The two letters of the package; "" for other bytes.
         meaning: Meaning in words.
         parts: Parts of the piece, in order.
-        error: Reason why these bytes are not a whole package; None if they are.
+        error: Reason why these bytes are not a whole package; None if they are a whole package.
     """
 
     offset: int
@@ -73,9 +73,9 @@ def guess_sender(data: bytes) -> str:
 
 
 def tables_in(data: bytes) -> tuple[dict[str, tuple[SymbolRow, ...]], int | None]:
-    """Tables in the bytes of a server, and the words of its time stamps.
+    """Return the tables in the bytes of a server, and the number of words of its time stamps.
 
-    Empty and None without a handshake.
+    Return an empty mapping and None if there is no handshake.
     """
     decoder = ServerDecoder()
     decoder.feed(data)
@@ -135,7 +135,7 @@ class _Dissector:
         except _Broken as reason:
             piece.error = str(reason)
             piece.meaning = piece.meaning or "no package"
-            # The start of the next package cannot be known.
+            # The rest is one part, because the start of the next package is unknown.
             self._add(piece, len(self.data), "", {})
         return piece
 
@@ -167,11 +167,11 @@ class _Dissector:
 
     def _add_count(self, piece: Piece, most: int, what: str) -> int:
         if len(self.data) - self.at < HEAD_SIZE:
-            raise _Broken("cut off before its count")
+            raise _Broken("the package ends before its count")
         (count,) = INT.unpack_from(self.data, self.at + 2)
         piece.meaning = f"{what}: {count}"
         if not 0 <= count <= most:
-            raise _Broken(f"counts {count}; expected 0 to {most}")
+            raise _Broken(f"the count is {count}; expected 0 to {most}")
         self._add(piece, HEAD_SIZE, piece.meaning, {"count": count})
         return int(count)
 
@@ -192,7 +192,7 @@ class _Dissector:
         what = f"values of {_DIRECTION[direction]} variables"
         if direction not in self._tables and self.data[self.at + 2 : self.at + HEAD_SIZE] != INT.pack(0):
             piece.meaning = what
-            raise _Broken("unknown lengths of the variables; use --tables with a file of the server's bytes")
+            raise _Broken("the lengths of the variables are unknown; use --tables with a file of the server's bytes")
         rows = self._tables.get(direction, ())
         item = item_schema(DATA, [row.length for row in rows], self._width)
         for number in range(self._add_count(piece, len(rows), what)):
@@ -216,9 +216,9 @@ class _Dissector:
         try:
             found = item.parse_stream(self._stream)
         except StreamError as error:
-            raise _Broken(f"cut off in {what}, in its {str(error.path).split(' -> ')[1]}") from None
+            raise _Broken(f"the package ends within the {str(error.path).split(' -> ')[1]} of {what}") from None
         except CheckError as error:
-            raise _Broken(f"{what} is {str(error).splitlines()[-1]}") from None
+            raise _Broken(f"{what}: {str(error).splitlines()[-1]}") from None
         return found, self._stream.tell() - self.at
 
 

@@ -1,4 +1,4 @@
-"""The messages between server and client as values, and their encoders.
+"""Messages between server and client as Python values, and their encoders.
 
 A batch is the unit of communication: packages up to and including an end package (docs/protocols/rhd.md, Encoding).
 """
@@ -21,7 +21,7 @@ END = 2 * END_PACKAGE.letter.encode()
 
 
 class SymbolRow(NamedTuple):
-    """A variable in a symbol table.
+    """Row of a symbol table, which describes a variable.
 
     Attributes:
         name: Name of at most 32 characters, each one byte on the wire (Latin-1).

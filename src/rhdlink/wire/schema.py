@@ -1,4 +1,4 @@
-"""The packages of the RHD format, declared once (docs/protocols/rhd.md, Encoding).
+"""Declarations of the packages of the RHD format (docs/protocols/rhd.md, Encoding).
 
 All data on the wire is a sequence of packages. A package begins with two letters. If it has items, their count and the
 items follow. All numbers are 32-bit words in network byte order, packed. A *batch* is a sequence of packages that ends
@@ -175,9 +175,9 @@ def item_schema(package: Package, lengths: Sequence[int], width: int) -> Any:
 
     def known(identity: int, context: Any) -> int:
         if not 0 <= identity < len(lengths):
-            raise construct.CheckError(f"of variable {identity}; expected 0 to {len(lengths) - 1}")
+            raise construct.CheckError(f"the id of the variable is {identity}; expected 0 to {len(lengths) - 1}")
         if lengths[identity] < 0:
-            raise construct.CheckError(f"of a variable of {lengths[identity]} words")
+            raise construct.CheckError(f"the variable has {lengths[identity]} words; expected 0 or more")
         return identity
 
     def shape(field: ItemField) -> Any:

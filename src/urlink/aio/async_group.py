@@ -17,9 +17,9 @@ __all__ = ["AsyncGroup", "AsyncGroupStream"]
 
 
 class AsyncGroupStream(AwaitedHandle[GroupStream]):
-    """Awaitable version of `GroupStream`; ``await stream`` waits for its end, as for any handle.
+    """Awaitable version of `GroupStream`; ``await stream`` waits for the end of the stream, as for any handle.
 
-    If a task is cancelled while it awaits `append`, the points that were not sent are dropped.
+    If a task is cancelled while it awaits `append`, the points that are not sent yet are dropped.
     """
 
     __slots__ = ()
@@ -47,11 +47,11 @@ class AsyncGroup(AwaitedPart[Group]):
             both = AsyncGroup(left, right)
             await both.follow([reach_left, reach_right], wait=True)
 
-    Calls run in threads of the first robot.
+    Calls of the group run in threads of the first robot.
 
     Args:
-        robots: Robots of the group: at least two, each only once. Each robot must have received a state: call
-            ``await robot.realtime.wait()`` first.
+        robots: Robots of the group: at least two, each only once. A real-time state of each robot must have arrived, so
+            call ``await robot.realtime.wait()`` first.
 
     Attributes:
         robots: Robots of the group, in the order of the arguments.
@@ -76,7 +76,7 @@ class AsyncGroup(AwaitedPart[Group]):
     stream = block(Group.stream, AsyncGroupStream)
 
     async def states(self, timeout: float | None = 5.0) -> AsyncIterator[tuple[RealtimeState, ...]]:
-        """Iterate over states of all arms, as `Group.states`: ``async for left, right in both.states()``."""
+        """Iterate over the states of all arms, like `Group.states`: ``async for left, right in both.states()``."""
         moments = self._part._moments()
         others = {each: self.robots[each].realtime.iterate(drop_oldest(WAITING), timeout) for each in moments.others}
         async for state in self.robots[moments.first].realtime.iterate(latest, timeout):

@@ -1,4 +1,4 @@
-"""`connect_async` and `AsyncRobot`: a robot for programs that use asyncio."""
+"""`connect_async` and `AsyncRobot`: connection to a robot, for programs that use asyncio."""
 
 from __future__ import annotations
 
@@ -54,8 +54,8 @@ T = TypeVar("T")
 
 #: Maximum number of concurrent calls for one robot.
 _CALLS = 16
-#: Number of threads for stopping the robot, started at the connection. Leaving a block can occupy one of them until the
-#: arm is at rest, so there are two.
+#: Number of threads that stop the robot. These threads are started together with the connection. Two threads are
+#: needed, because leaving a block can occupy one of them until the arm is at rest.
 _STOPS = 2
 
 
@@ -72,12 +72,12 @@ def _interpreter(interpreter: Interpreter, workers: Workers) -> AsyncInterpreter
 
 
 class AsyncRobot(AwaitedPart[threaded.Robot]):
-    """Connection to one robot, for asyncio. Made by `connect_async`; an asynchronous context manager.
+    """Connection to one robot, for programs that use asyncio. Made by `connect_async`.
 
-    It has the same members as `Robot`, with the same behaviour. Calls that might wait for the robot are awaited, blocks
-    are entered with ``async with``, and properties are read directly. The event loop reads the streams. Calls that wait
-    run in threads of the robot, which are started when they are needed. Leaving the ``async with`` block closes the
-    robot.
+    The class has the same members as `Robot`, with the same behaviour. Await calls that might wait for the robot, enter
+    blocks with ``async with``, and read properties directly. The event loop reads the streams. Calls that wait run in
+    threads that belong to the robot. A thread is started when it is needed. The robot is an asynchronous context
+    manager: leaving its ``async with`` block closes the robot.
 
     If a task is cancelled or times out while it awaits a call, the call is abandoned: pending data is not sent, and a
     motion or program that the call started is cancelled, so a moving arm brakes. `asyncio.shield` prevents this.
@@ -103,7 +103,7 @@ class AsyncRobot(AwaitedPart[threaded.Robot]):
 
     @property
     def primary(self) -> AsyncStream[RobotState]:
-        """Stream of `RobotState` at 10 Hz (port 30001); its parts and messages are available by class or `of`."""
+        """Stream of `RobotState` at 10 Hz (port 30001). Select its parts and messages by class with `of`."""
         return self._stream("primary")
 
     @property
@@ -121,17 +121,17 @@ class AsyncRobot(AwaitedPart[threaded.Robot]):
     def clock(self) -> RobotClock:
         """Relation of the controller's clock to this computer's clock; see `Robot.clock`.
 
-        It cannot wait for a state, so use it after the first state has arrived.
+        This property cannot wait for a state, so use it after the first state has arrived.
         """
         return self._part.clock
 
     @property
     def identity(self) -> Identity:
-        """Last known identity of the controller; `identify` reads it again."""
+        """Last known identity of the controller. Call `identify` to update it after a reconnection."""
         return self._part._who.last
 
     async def identify(self) -> Identity:
-        """Return the identity of the controller, which is read again after a reconnect.
+        """Return the identity of the controller, and read it again after a reconnection.
 
         Raises:
             RemoteError: If the controller does not answer.
@@ -214,7 +214,7 @@ class AsyncRobot(AwaitedPart[threaded.Robot]):
 
     @property
     def tool_serial(self) -> AsyncToolSerial:
-        """RS485 line in the tool connector; see `Robot.tool_serial`. Not interlocked."""
+        """RS485 line in the tool connector; see `Robot.tool_serial`. Its commands are not interlocked."""
         from .parts import AsyncToolSerial
 
         return AsyncToolSerial(self._part.tool_serial, self._workers)
@@ -253,12 +253,12 @@ class AsyncRobot(AwaitedPart[threaded.Robot]):
         """
         return await self._workers.make(lambda: function(*arguments, **options), is_ordered=False)
 
-    # -- its end -------------------------------------------------------------------------------------
+    # -- closing -------------------------------------------------------------------------------------
 
     async def close(self, timeout: float = 2.0) -> None:
         """End motions, and close all streams and the simulator, within `timeout` seconds. Idempotent.
 
-        A task that is cancelled during this call ends when closing has finished.
+        If the calling task is cancelled during this call, the task ends only after closing has finished.
         """
         if self._ending is None:
             self._ending = asyncio.create_task(self._close(timeout))
@@ -337,7 +337,7 @@ def connect_async(options: ConnectOptions) -> Opening[AsyncRobot]:
 
 
 async def _identified(place: RobotAddress, options: ConnectOptions) -> Identity:
-    """Read the identity of the controller at an address on the event loop; otherwise as `networked`."""
+    """Read the identity of the controller at an address, on the event loop. The blocking version is `networked`."""
     suffix = "_readonly" if options.read_only else ""
     try:
         return await _identify(place.host, place.ports["primary" + suffix], options.timeout)
@@ -352,7 +352,7 @@ async def _identified(place: RobotAddress, options: ConnectOptions) -> Identity:
 
 
 async def _identify(host: str, port: int, timeout: float) -> Identity:
-    """Read the identity on one port, as `urlink.session.identity.identify`."""
+    """Read the identity of the controller from one port, like `urlink.session.identity.identify`."""
     introduction = Introduction(f"{host}:{port}", timeout)
     transport = AwaitedTcp(host, port, silence=timeout, refused=lambda: refusal_hint(None))
     await transport.connect(timeout)
@@ -365,5 +365,5 @@ async def _identify(host: str, port: int, timeout: float) -> Identity:
             except ConnectionLost as error:
                 introduction.lose(error)
     finally:
-        transport.abort()  # nothing was sent
+        transport.abort()  # no sent data can be lost, because nothing was sent
     return introduction.identity

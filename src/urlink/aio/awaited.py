@@ -1,8 +1,8 @@
 """Conversion of blocking methods to awaitable methods with the same name, arguments, result and types.
 
-Commands use the same interlock, channel and state machines as a robot of `urlink.connect`, which block until the robot
-has answered. So each call runs in a thread of the robot, while the event loop continues to read the streams and RTDE
-connections.
+Commands use the same interlock, channel and state machines as a robot of `urlink.connect`. These commands block until
+the robot has answered. Therefore each call runs in a thread of the robot, and the event loop continues to read the
+streams and RTDE connections.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ T = TypeVar("T")
 class AwaitedPart(StrictAttributes, Generic[B]):
     """Robot, or a part of a robot such as `robot.motion`, with awaitable methods.
 
-    Attributes are read immediately. An attribute that would have to wait, because its stream is not open yet, raises
-    `LocalError`; ``await robot.call(lambda: robot.safety.cause)`` waits for it.
+    Attributes are read immediately. If an attribute needs a stream that is not open yet, reading it raises
+    `LocalError`. To wait for such an attribute, use `call`: ``await robot.call(lambda: robot.safety.cause)``.
 
     Args:
-        part: Same part of a robot of `urlink.connect`.
+        part: Blocking version of this part, from a robot of `urlink.connect`.
         workers: Threads that run the calls.
     """
 
@@ -59,8 +59,8 @@ class attribute(property, Generic[B, T]):  # noqa: N801  # as `property`
     """Attribute of an `AwaitedPart` that is read immediately.
 
     Args:
-        of: Class of the part, which is the argument type of `read`.
-        read: Function that returns the value of the part.
+        of: Class of the blocking part, which is passed to `read`.
+        read: Function that returns the value of the attribute for a part.
     """
 
     def __init__(self, of: type[B], read: Callable[[B], T]) -> None:
@@ -86,11 +86,11 @@ class AwaitedHandle(AwaitedPart[H]):
     error = attribute(Handle, lambda handle: handle.error)
 
     def cancel(self) -> None:
-        """Cancel as `Handle.cancel`, and return immediately."""
+        """Cancel the motion or program like `Handle.cancel`, and return immediately."""
         self._part.cancel()
 
     def add_done_callback(self, callback: Callable[[Self], object]) -> None:
-        """Add a callback as `Handle.add_done_callback`. It runs in the robot's callback thread."""
+        """Add a callback like `Handle.add_done_callback`. The callback runs in the robot's callback thread."""
         self._part.add_done_callback(lambda handle: callback(self))
 
     def __await__(self) -> Generator[Any, None, None]:
@@ -100,8 +100,8 @@ class AwaitedHandle(AwaitedPart[H]):
 def awaited(method: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]:
     """Return the method of an `AwaitedPart` that runs a call in a thread of the robot.
 
-    A task that is cancelled while it awaits the method abandons the call: pending data is not sent, a motion or program
-    that the call started is cancelled, and a wait in its thread ends.
+    If a task is cancelled while it awaits the method, the call is abandoned: pending data is not sent, a motion or
+    program that the call started is cancelled, and the thread of the call stops waiting.
     """
 
     @functools.wraps(method)
@@ -113,7 +113,7 @@ def awaited(method: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[An
 
 
 def stopping(method: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]:
-    """Like `awaited`, for a call that stops or closes something. It never queues behind a waiting call.
+    """Like `awaited`, for a call that stops or closes something. Such a call never queues behind a waiting call.
 
     The call runs even if its task is cancelled in the meantime; the task ends immediately.
     """
@@ -129,8 +129,8 @@ def stopping(method: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[A
 def motion(method: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]:
     """Like `awaited`, for a call that starts a motion and returns its handle. The argument `wait` is required.
 
-    `await` before such a call looks as if it waited for the arm. Without `wait`, the program would continue
-    immediately while the arm moves, so a call without `wait` is rejected.
+    A reader might expect that `await` before such a call waits for the arm. But without `wait`, the program would
+    continue immediately while the arm moves. Therefore a call without `wait` is rejected.
     """
     call = awaited(method)
 
@@ -147,15 +147,15 @@ def motion(method: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[Any
 
 
 class Block(StrictAttributes, Generic[T]):
-    """Block such as ``async with robot.motion.servo() as servo``, entered and left in a thread of the robot.
+    """Block such as ``async with robot.motion.servo() as servo``. A thread of the robot enters and leaves it.
 
-    If it is awaited instead, the result is the object that the same call of a robot of `urlink.connect` returns without
-    a ``with``.
+    You can also await the block instead of entering it. The result is then the object that the blocking call returns
+    without a ``with`` statement.
 
     Args:
         workers: Threads of the robot.
         make: Call that returns the context manager.
-        given: Function that converts the context manager for programs that use asyncio.
+        given: Function that converts the entered or awaited object to its version for asyncio.
     """
 
     __slots__ = ("_entered", "_given", "_make", "_workers")
@@ -192,7 +192,7 @@ class Block(StrictAttributes, Generic[T]):
         try:
             await asyncio.wait({leaving})
         except asyncio.CancelledError:
-            if isinstance(self._entered, Handle):  # leaving a handle waits for its program without a limit
+            if isinstance(self._entered, Handle):  # leaving a handle waits for its program, without a time limit
                 self._workers.stop(self._entered.cancel)
             await asyncio.wait({leaving})
             raise
@@ -209,7 +209,7 @@ def block(
     method: Callable[Concatenate[Any, P], C], given: Callable[[C, Workers], T]
 ) -> Callable[Concatenate[Any, P], Block[T]]: ...
 def block(method: Callable[..., Any], given: Callable[..., Any] = lambda made, workers: made) -> Any:
-    """Return the method of an `AwaitedPart` whose result is entered with ``async with``."""
+    """Return a method of an `AwaitedPart` that returns a `Block`, which is entered with ``async with``."""
 
     @functools.wraps(method)
     def call(part: AwaitedPart[Any], /, *arguments: Any, **options: Any) -> Block[Any]:
@@ -223,15 +223,15 @@ def _leave(made: AbstractContextManager[Any]) -> None:
 
 
 def _end(value: Any) -> None:
-    """End the result of an abandoned call."""
+    """End or close the object that an abandoned call has returned."""
     if isinstance(value, Handle):
         _leave(value)
-    elif hasattr(value, "close"):  # a stream, a recorder, inputs
+    elif hasattr(value, "close"):  # such as a stream, a recorder or RTDE inputs
         value.close()
 
 
 class AwaitedRtde(RtdeTransport):
-    """`RtdeTransport` for an event loop.
+    """RTDE connection for an event loop, as an `RtdeTransport`.
 
     Args:
         transport: TCP connection.
@@ -251,7 +251,8 @@ class AwaitedRtde(RtdeTransport):
         dialogue = RtdeDialogue(self._plan)
         try:
             while not dialogue.is_over:
-                # These are the first bytes on the connection, so the buffer of the kernel has room for them.
+                # The requests are the first bytes on the connection, so the send buffer of the kernel has space for
+                # them.
                 self._tcp.send(dialogue.protocol.requests(), 0.0)
                 try:
                     dialogue.receive(*await self._tcp.receive_awaited(max(until - clock.now(), 0.001)))

@@ -49,9 +49,9 @@ T = TypeVar("T", bound=Outputs)
 
 
 class AsyncPointStream(AwaitedHandle[PointStream]):
-    """Awaitable version of `PointStream`; ``await stream`` waits for its end, as for any handle.
+    """Awaitable version of `PointStream`; ``await stream`` waits for the end of the stream, as for any handle.
 
-    If a task is cancelled while it awaits `append`, the points that were not sent are dropped.
+    If a task is cancelled while it awaits `append`, the points that are not sent yet are dropped.
     """
 
     __slots__ = ()
@@ -75,7 +75,7 @@ class AsyncPointStream(AwaitedHandle[PointStream]):
 class AsyncMotions(AwaitedPart[Motions]):
     """Awaitable version of `Motions`.
 
-    Calls that start a motion require the argument `wait`, except `stop`, which is never delayed.
+    Calls that start a motion require the argument `wait`. The call `stop` does not require it, and is never delayed.
     """
 
     __slots__ = ()
@@ -245,7 +245,7 @@ class AsyncToolSerial(AwaitedPart[ToolSerial]):
 
 
 class AsyncInterpreter(AwaitedHandle[Interpreter]):
-    """Awaitable version of `Interpreter`; ``await interpreter`` waits for the end of its program."""
+    """Awaitable version of `Interpreter`; ``await interpreter`` waits for the end of the interpreter program."""
 
     __slots__ = ()
 
@@ -258,7 +258,7 @@ class AsyncInterpreter(AwaitedHandle[Interpreter]):
     wait_executed = awaited(Interpreter.wait_executed)
 
     async def state(self) -> InterpreterState:
-        """Return `Interpreter.state`. It is a method here, because the controller is asked."""
+        """Return `Interpreter.state`. The call waits for the controller, so it is not a property here."""
         return await self._workers.make(lambda: self._part.state)
 
     texts = attribute(Interpreter, lambda part: part.texts)
@@ -311,7 +311,7 @@ class AsyncOutputStream(AsyncStream[T]):
         self._part = outputs
 
     async def description(self) -> dict[str, Any]:
-        """Return `OutputStream.description`, and connect if necessary."""
+        """Return `OutputStream.description`. Connect first if the stream is not connected."""
         await self.start()
         return await super().description()
 
@@ -344,7 +344,10 @@ class AsyncRtde(AwaitedPart[Rtde]):
     def outputs(
         self, *names: Any, frequency: float | None = None, missing: Missing = "error"
     ) -> Block[AsyncOutputStream[Any]]:
-        """Return a stream as `Rtde.outputs`: ``async with robot.rtde.outputs("actual_q") as stream``, or awaited."""
+        """Return a stream like `Rtde.outputs`: ``async with robot.rtde.outputs("actual_q") as stream``.
+
+        The result can be awaited instead.
+        """
         rtde = self._part
 
         def made() -> OutputStream[Any]:
@@ -353,7 +356,7 @@ class AsyncRtde(AwaitedPart[Rtde]):
         return Block(self._workers, made, lambda stream, workers: AsyncOutputStream(stream))
 
     async def registers(self, *, lower: bool = False) -> AsyncRegisters:
-        """Return registers as `Rtde.registers`."""
+        """Return the general-purpose registers, like `Rtde.registers`."""
         return AsyncRegisters(self._part.registers(lower=lower), self._workers)
 
     is_recorded = attribute(Rtde, lambda part: part.is_recorded)

@@ -1,1 +1,1 @@
-"""Models, kinematics, dynamics and poses of arms, and descriptions of an arm for other software."""
+"""Models, kinematics, dynamics and poses of robot arms, and conversions of an arm to formats of other software."""

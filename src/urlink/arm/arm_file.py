@@ -1,7 +1,8 @@
 """Arm files: the identified properties of one arm, for the simulator (`sim://ur5e?like=arm.json`).
 
-The file is JSON. Each number has a value and the interval that contains it with a probability of 99 %. If the recording
-does not show a number, the file names the motion that would show it, and the simulator uses the value of the model.
+The file is JSON. Each number has a value and the interval that contains it with a probability of 95 %. If the recording
+was not enough to find a number, the file names the motion that is needed to find it, and the simulator uses the value
+of the model.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from .kinematics import DhTable
 from .motors import Motors, motors_of
 
 _KIND, _VERSION = "urlink arm", 1
-#: Field of `Motors` -> its name in the file.
+#: Name in the file for each field of `Motors`.
 MOTORS = {
     "rotor_inertias": "rotor_inertia",
     "torque_constants": "torque_constant",
@@ -30,19 +31,16 @@ MOTORS = {
 }
 
 
-#: Number of standard deviations on each side that contain 99 % of a normal distribution.
-SIDES = 2.576
-
-
 @dataclasses.dataclass(frozen=True)
 class Estimate:
-    """One number with its interval, or the motion that is needed to find it.
+    """Estimate of one number: its value and interval, or the motion that is needed to find them.
 
     Attributes:
         value: Value of the number; nan if unknown.
-        low: Lower end of the interval that contains the number with 99 %, if the residuals of the model are noise.
+        low: Lower end of the interval that contains the number with a probability of 95 %. Assumes that the movements
+            of the recording are typical of the arm.
         high: Upper end of this interval.
-        needs: Motion that would show the number; "" if it is known.
+        needs: Motion that is needed to find the number; "" if the number is known.
     """
 
     value: float
@@ -51,18 +49,13 @@ class Estimate:
     needs: str = ""
 
     @classmethod
-    def around(cls, value: float, deviation: float) -> Estimate:
-        """Return an estimate from a value and its standard deviation."""
-        return cls(value, value - SIDES * deviation, value + SIDES * deviation)
-
-    @classmethod
     def unknown(cls, needs: str) -> Estimate:
-        """Return an estimate of a number that the recording does not show; `needs` is the motion that would show it."""
+        """Return the estimate of an unknown number; `needs` is the motion that is needed to find the number."""
         return cls(math.nan, math.nan, math.nan, needs)
 
     @property
     def is_known(self) -> bool:
-        """Whether the recording shows the number."""
+        """Whether the recording was enough to find the number."""
         return not self.needs
 
 
@@ -71,10 +64,11 @@ class ArmFile:
     """Identified properties of one arm.
 
     Attributes:
-        model: Name of the arm.
-        estimates: Name, as in `urlink.arm.parameters`, -> one estimate, or one for each joint or axis.
-        calibration: DH table; None if the recording does not show it.
-        tcp: Pose of the tool that belongs to the calibration, shape (6,).
+        model: Name of the arm model.
+        estimates: Estimates, by the names that parameters have in `urlink.arm.parameters`. A parameter has one
+            estimate, or one for each joint or axis.
+        calibration: Calibrated DH table; None if the recording was not enough to find it.
+        tcp: Pose of the TCP that was found together with the calibration, shape (6,); None without a calibration.
         torque_r2: Fraction of the variance of the torques that the model explains, shape (6,).
         current_r2: Fraction of the variance of the currents that the model explains, shape (6,).
     """
@@ -88,7 +82,7 @@ class ArmFile:
 
     @property
     def motors(self) -> Motors:
-        """Motors of the model, with the known values of this arm."""
+        """Motors of the arm: the known values of this arm, and the values of its model for all others."""
         known = motors_of(self.model)
         changed = {
             field: tuple(
@@ -101,12 +95,12 @@ class ArmFile:
         return dataclasses.replace(known, **changed)
 
     def known(self, name: str) -> float | None:
-        """Return the value of a parameter that is one number; None if it is unknown."""
+        """Return the value of a parameter with a single number; None if the value is unknown."""
         found = self.estimates.get(name, ())
         return found[0].value if len(found) == 1 and found[0].is_known else None
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write the file.
+        """Write the properties to a file.
 
         Raises:
             LocalError: If the file cannot be written.
@@ -128,7 +122,7 @@ class ArmFile:
 
 
 def read_arm_file(path: str | os.PathLike[str]) -> ArmFile:
-    """Read a file that `urlink identify` has written.
+    """Read an arm file that `urlink identify` has written.
 
     Raises:
         BadValue: If the file does not exist or is not an arm file. The message names the invalid part.

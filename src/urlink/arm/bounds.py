@@ -1,7 +1,7 @@
 """Largest allowed values for a tool or a joint, and checks of poses and tool speeds.
 
 A larger value probably has the wrong unit, such as millimetres or degrees. The bounds apply to every arm. The limits of
-one arm are smaller, and are checked where the arm is known (`urlink.models`, `urlink.kinematics`).
+a particular arm are smaller. Other code checks them when it knows the arm (`urlink.models`, `urlink.kinematics`).
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ class Bound(NamedTuple):
         Args:
             value: Value from the caller.
             name: Name of the argument, used in the message.
-            most: Largest value, if it is smaller than `Bound.most`; None for `Bound.most`.
-            limit_of: Owner of that limit, used in the message.
+            most: Smaller upper limit to use instead of `Bound.most`; None for `Bound.most`.
+            limit_of: Object that has the smaller limit, such as "a UR5e"; used in the message.
 
         Raises:
             BadValue: See `linkcore.arguments.check_number`.
@@ -48,28 +48,30 @@ class Bound(NamedTuple):
         return check_number(value, name, self.least, self.most if most is None else most, self.unit, limit_of)
 
 
-#: Lower bound. A slower or weaker value is an error.
+#: Smallest allowed speed or acceleration. A smaller value is an error.
 _LEAST = 1e-3
 
-#: Largest limit of the tool speed that the safety configuration accepts (the vendor's manuals, Robot limits). Data
-#: sheets contain typical speeds of 1 to 2 m/s, which are not limits.
+#: Largest tool speed limit that the safety configuration accepts, according to the vendor's manuals (Robot limits).
+#: The speeds of 1 to 2 m/s in data sheets are typical speeds and not limits.
 TOOL_SPEED = Bound(5.0, "m/s", _LEAST)
-#: Assumed: faster than any wrist, at 6.3 rad/s.
+#: Largest rotation speed of a tool. Assumed: no tool turns faster, because wrists turn at 6.3 rad/s at most.
 TOOL_TURN = Bound(number("largest_tool_turn"), "rad/s", _LEAST)
-#: Assumed: the largest acceleration of a joint that a controller reports, at 1 m from the joint.
+#: Largest acceleration of a tool. Assumed: the largest joint acceleration that a controller reports, at 1 m from the
+#: joint.
 TOOL_ACCELERATION = Bound(number("largest_tool_acceleration"), "m/s²", _LEAST)
-#: Speed of the wrists of UR3 and UR3e, the fastest joints in `urlink.models`.
+#: Largest speed of a joint. The wrists of UR3 and UR3e, the fastest joints in `urlink.models`, have this speed.
 JOINT_SPEED = Bound(math.tau, "rad/s", _LEAST)
-#: Largest acceleration in `urlink.models`, as controllers report it.
+#: Largest acceleration of a joint in `urlink.models`, as controllers report it.
 JOINT_ACCELERATION = Bound(40.0, "rad/s²", _LEAST)
-#: Distance from the base. The longest arm reaches 1.75 m, so with a tool of `TOOL_LENGTH` it does not reach 10 m.
+#: Largest distance of a position from the base. The longest arm reaches 1.75 m, so no arm reaches 10 m, even with a
+#: tool of `TOOL_LENGTH`.
 POSITION = Bound(10.0, "m")
-#: Length of a rotation vector. More than one turn means degrees. Includes a margin for a turn that was rounded to
-#: 6.2832.
+#: Largest length of a rotation vector: one turn. A longer vector is probably in degrees. The limit includes a margin
+#: for a full turn that was rounded to 6.2832.
 TURN = Bound(math.tau + _LEAST, "rad")
-#: Distance from the flange to the TCP. Assumed: no tool is longer.
+#: Largest distance from the flange to the TCP. Assumed: no tool is longer.
 TOOL_LENGTH = Bound(number("largest_tool"), "m")
-#: Distance from the flange to the centre of gravity of a payload. Assumed: no payload is further away.
+#: Largest distance from the flange to the centre of gravity of a payload. Assumed: no payload is further away.
 COG = Bound(number("furthest_payload"), "m")
 
 
@@ -79,7 +81,7 @@ def check_pose(values: ArrayLike, name: str, furthest: Bound = POSITION) -> Floa
     Args:
         values: Pose from the caller: position and rotation vector.
         name: Name of the argument, used in the message.
-        furthest: Bound of the distance from the origin.
+        furthest: Largest allowed distance of the position from the origin.
 
     Raises:
         BadValue: If `values` is not six finite numbers, the position is too far away, or the rotation vector is longer

@@ -1,8 +1,8 @@
 """Paths of a tool between two poses: straight lines and arcs of circles.
 
-On both paths, the tool turns uniformly about one axis, from its start orientation to its end orientation. Users of
-controllers observe the same between two poses. For an arc, where the orientation of the intermediate point is ignored,
-it is documented for ``movec`` with mode 0, "unconstrained".
+On both paths, the tool turns uniformly about one axis, from its start orientation to its end orientation. Users have
+observed that controllers turn the tool in this way between two poses. For arcs, the vendor documents it for ``movec``
+with mode 0, "unconstrained": the controller ignores the orientation of the intermediate point.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from linkcore.errors import BadValue
 
 from .poses import compose, invert
 
-# Relative to the distances between three points. Points closer to a straight line than this are not on a circle.
+# Three points that are closer to a straight line than this do not define a circle. The value is relative to the
+# distances between the points.
 _FLAT = 1e-6
 
 
@@ -49,20 +50,20 @@ class Line:
 
 
 class Arc:
-    """Path of the tool along the circle through three points. It has the methods of `Line`.
+    """Path of the tool along the circle through three points. The class has the methods of `Line`.
 
     Args:
         start: Pose at the beginning.
         via: Intermediate pose on the path; its orientation is ignored.
         end: Pose at the end.
-        is_fixed: Whether the tool is fixed to the path and turns with it. Then the start orientation determines the end
-            orientation, and the orientation of `end` is ignored.
+        is_fixed: Whether the tool is fixed to the path and turns with it. In this case, the start orientation
+            determines the end orientation, and the orientation of `end` is ignored.
 
     Attributes:
         start: See `Line`.
         end: See `Line`.
         length: See `Line`.
-        turn: See `Line`. The turn of a tool that is fixed to the path is not included.
+        turn: See `Line`. If the tool is fixed to the path, its rotation with the path is not included.
 
     Raises:
         BadValue: If the three points are on a straight line.
@@ -76,7 +77,7 @@ class Arc:
         self._centre, normal = _circle(first, list(via[:3]), last)
         self._arm = _minus(first, self._centre)
         self._across = _cross(normal, self._arm)
-        # About this normal, the three points are in order within one turn.
+        # In one turn about this normal, the points come in the order start, via, end.
         self._angle = self._angle_of(last)
         self.length = math.hypot(*self._arm) * self._angle
         self._carried = [self._angle * each for each in normal] if is_fixed else None
@@ -99,12 +100,12 @@ class Arc:
         """Return the fraction of the path where the tool is closest to a position."""
         angle = self._angle_of(position)
         if angle > self._angle:
-            # The position is beyond the end: use the closer one of both ends.
+            # The position is beyond the end of the arc: use the closer of its two ends.
             return 1.0 if angle < 0.5 * (self._angle + math.tau) else 0.0
         return angle / self._angle
 
     def _angle_of(self, position: Sequence[float]) -> float:
-        """Return the angle from the beginning to a position, about the axis: 0 to 2 pi."""
+        """Return the angle about the axis from the start of the arc to a position, 0 to 2 pi."""
         chord = _minus(position[:3], self._centre)
         return math.atan2(_dot(chord, self._across), _dot(chord, self._arm)) % math.tau
 
@@ -114,7 +115,7 @@ Curve = Line | Arc
 
 
 def _circle(first: list[float], between: list[float], last: list[float]) -> tuple[list[float], list[float]]:
-    """Return the centre of the circle through three points, and its axis, about which the points are in order."""
+    """Return the centre and the axis of the circle through three points. A turn about the axis passes them in order."""
     u, w = _minus(between, first), _minus(last, first)
     normal = _cross(u, w)
     uu, ww, squared = _dot(u, u), _dot(w, w), _dot(normal, normal)
@@ -133,7 +134,7 @@ def _turn_between(first: Sequence[float], second: Sequence[float]) -> list[float
 
 
 def _rotated(pose: Sequence[float], turn: Sequence[float], part: float) -> list[float]:
-    """Return the rotation vector of a pose after a fraction of a turn in its own frame."""
+    """Return the rotation vector of a pose after a fraction of the rotation `turn` in the frame of the pose."""
     if not any(turn):
         return list(pose[3:])
     x, y, z = turn

@@ -7,15 +7,16 @@
 
 The equation of motion is `M(q) qdd + c(q, qd) + g(q) = torque`. Torques are in Nm, and are positive in the direction of
 growing joint angles. The equation is computed in the base frame, with spatial vectors about its origin (Featherstone,
-"Rigid Body Dynamics Algorithms", 2008). Forces are computed link by link from the tool down to the base, and the mass
-matrix from the inertias of all bodies that a joint carries.
+"Rigid Body Dynamics Algorithms", 2008). Forces are computed link by link, from the tool down to the base. Each row of
+the mass matrix is computed from the inertias of all bodies that the joint carries.
 
-**Accuracy.** The results are as accurate as the published masses and inertias (`urlink.models`). The gravity torques of
-simulated arms agree with them. Those of a real UR3e agree within 2 mNm (with its calibration and payload), and those of
-a real CB2 UR5 within 1.4 Nm. With `rotors`, the inertia of motors and gears (`urlink.arm.motors`) is included. It is
-not published, but a log of a UR3e shows it. With it, the results equal the moments of that controller to 0.02 Nm. At
-the wrists, it is much larger than the inertia of the links. Friction is not included: a controller includes friction in
-its currents rather than in its moments.
+**Accuracy.** The results are as accurate as the published masses and inertias (`urlink.models`). The computed gravity
+torques agree with those that simulated arms report. The gravity torques of a real UR3e agree within 2 mNm (with its
+calibration and payload), and the gravity torques of a real CB2 UR5 within 1.4 Nm. With `rotors`, the inertia of motors
+and gears (`urlink.arm.motors`) is included. This inertia is not published, but a log of a UR3e shows it. With this
+inertia, the results agree within 0.02 Nm with the moments that the controller of the UR3e reports. At the wrists, the
+inertia of motors and gears is much larger than the inertia of the links. Friction is not included, because a controller
+includes friction in its currents and not in its moments.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ __all__ = ["GRAVITY", "Dynamics"]
 #: Gravity in m/s² that a controller assumes until a program calls set_gravity.
 GRAVITY = 9.82
 
-# Mass, centre of mass, and inertia about it along the axes of the frame at the end of the link: xx xy xz yy yz zz.
+# Mass, centre of mass, and inertia about the centre of mass (xx xy xz yy yz zz), in the frame at the end of the link.
 _Body = tuple[float, tuple[float, float, float], tuple[float, float, float, float, float, float]]
 # Mass; mass times position; inertia about the origin of the base, xx xy xz yy yz zz. All in the base frame.
 _Inertia = tuple[Number, Number, Number, Number, Number, Number, Number, Number, Number, Number]
@@ -56,7 +57,7 @@ class Dynamics(StrictAttributes):
     Every method accepts one row of six numbers, or any number of rows in an array, shape (..., 6).
 
     Args:
-        arm: `Arm`, which may be calibrated, name of a model, or `Model`.
+        arm: Published or calibrated `Arm`, `Model`, or name of a model.
         payload: Mass at the flange, in kg.
         payload_cog: Centre of mass of the payload in the flange frame, shape (3,), in m.
         payload_inertia: Inertia of the payload about its centre of mass along the axes of the flange, shape (6,), in
@@ -64,7 +65,7 @@ class Dynamics(StrictAttributes):
         gravity: Gravitational acceleration in the base frame, shape (3,), in m/s². The default is for an upright arm.
             A hanging arm has (0, 0, 9.82).
         rotors: Whether to include the inertia of motors and gears, as a controller does. If this inertia is known for
-            the individual arm: its values at the joints, shape (6,), in kg m².
+            the individual arm, give an array with its values at the joints, shape (6,), in kg m².
 
     Raises:
         UnknownModel: If no arm has this name.
@@ -89,7 +90,7 @@ class Dynamics(StrictAttributes):
         else:
             self._rotors = tuple(rigid.floats(rotors, 6, "rotor inertias"))
             if min(self._rotors) < 0.0:
-                raise BadValue(f"a rotor inertia is {min(self._rotors)!r} kg m²; expected zero or more")
+                raise BadValue(f"the smallest rotor inertia is {min(self._rotors)!r} kg m²; expected 0 or more")
         x, y, z = rigid.floats(gravity, 3, "a gravity")
         self._gravity = x, y, z
         payload = check_number(payload, "payload", 0.0, unit="kg")
@@ -139,7 +140,7 @@ class Dynamics(StrictAttributes):
             Torques, shape (..., 6), in Nm.
 
         Raises:
-            BadValue: If `q` is not joint positions.
+            BadValue: If `q` is not six finite numbers per row.
         """
         if rigid.is_single(q):
             return np.array(self._held(self._frames(q)))
@@ -147,7 +148,7 @@ class Dynamics(StrictAttributes):
         return np.stack(self._held(self._frames_of_rows(given.reshape(-1, 6))), axis=-1).reshape(given.shape)
 
     def coriolis_torque(self, q: ArrayLike, qd: ArrayLike) -> FloatArray:
-        """Return the Coriolis and centrifugal torques: torques for constant joint speeds, without weight; c(q, qd).
+        """Return the Coriolis and centrifugal torques c(q, qd): the torques at constant joint speeds, without gravity.
 
         Args:
             q: Joint positions, shape (..., 6), in rad.
@@ -162,7 +163,7 @@ class Dynamics(StrictAttributes):
         return self._torque(q, qd, _ZERO, (0.0, 0.0, 0.0))
 
     def mass_matrix(self, q: ArrayLike) -> FloatArray:
-        """Return the joint-space inertia M(q). Its product with joint accelerations is the torque for them.
+        """Return the joint-space inertia M(q). The product M(q) qdd is the torque that causes the accelerations qdd.
 
         Args:
             q: Joint positions, shape (..., 6), in rad.
@@ -171,7 +172,7 @@ class Dynamics(StrictAttributes):
             Symmetric matrices, shape (..., 6, 6), in kg m².
 
         Raises:
-            BadValue: If `q` is not joint positions.
+            BadValue: If `q` is not six finite numbers per row.
         """
         if rigid.is_single(q):
             return np.array(self._mass_matrix(self._frames(q)))
@@ -225,7 +226,7 @@ class Dynamics(StrictAttributes):
         return np.stack(torques, axis=-1).reshape(*shape, 6)
 
     def _held(self, frames: list[Rigid[Number]]) -> list[Number]:
-        """Return the gravity torques from the weight on each joint, at a fifth of the cost of `_newton_euler`."""
+        """Return the gravity torques, computed from the weight on each joint; five times as fast as `_newton_euler`."""
         gx, gy, gz = self._gravity
         none = 0.0 * frames[0][9]
         # Mass of the carried bodies, and mass times position.
@@ -272,7 +273,7 @@ class Dynamics(StrictAttributes):
         return [torque + j * rate for torque, j, rate in zip(torques[::-1], self._rotors, qdd, strict=True)]
 
     def _mass_matrix(self, frames: list[Rigid[Number]]) -> list[list[Number]]:
-        """Compute the matrix row by row from the inertia of all bodies of a joint (composite rigid bodies)."""
+        """Compute the matrix row by row from the inertia of all bodies that a joint carries (composite bodies)."""
         axes = _axes(frames)
         table: list[list[Number]] = [[axes[0][0]] * 6 for _ in range(6)]
         carried = accumulate(reversed(self._inertias(frames)), _added)
@@ -292,12 +293,12 @@ _ZERO = np.zeros(6)
 
 
 def _away(mass: float, off: FloatArray) -> FloatArray:
-    """Return the additional inertia of a mass at a distance from its centre (parallel axes)."""
+    """Return the inertia that a mass adds about a point at the distance `off` from its centre (parallel axes)."""
     return np.asarray(mass * (off @ off * np.eye(3) - np.outer(off, off)))
 
 
 def _axes(frames: list[Rigid[Number]]) -> list[_Spatial[Number]]:
-    """Return the velocity at the origin of the base for 1 rad/s of each joint."""
+    """Return the velocity at the origin of the base for a speed of 1 rad/s of each joint."""
     none = 0.0 * frames[0][9]
     found: list[_Spatial[Number]] = [(none, none, none + 1.0, none, none, none)]
     for _, _, zx, _, _, zy, _, _, zz, px, py, pz in frames[:5]:
@@ -306,7 +307,7 @@ def _axes(frames: list[Rigid[Number]]) -> list[_Spatial[Number]]:
 
 
 def _inertia(frame: Rigid[Number], body: _Body) -> _Inertia[Number]:
-    """The inertia of a body about the origin of the base, in the base frame."""
+    """Return the inertia of a body about the origin of the base, in the base frame."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz = frame
     mass, (cx, cy, cz), (ixx, ixy, ixz, iyy, iyz, izz) = body
     x = r00 * cx + r01 * cy + r02 * cz + px

@@ -2,8 +2,8 @@
 
 Links and joints have the names and frames of `urlink.urdf`, with the same geometry, limits, masses and inertias. MJCF
 also contains values for which URDF has no place: the inertia of each rotor, as `armature`, and the friction of motors
-and gears (`urlink.arm.motors`), as `frictionloss` and `damping`. The shapes are those of URDF: they follow the
-geometry, but are neither a likeness nor a hull of the arm.
+and gears (`urlink.arm.motors`), as `frictionloss` and `damping`. The shapes are similar to those of `urlink.urdf`: they
+follow the geometry of the arm, but they neither look like the arm nor enclose it.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ def to_mjcf(
         arm: Calibrated or published `Arm`, `Model`, or name of a model.
         name: Name of the model in the file; by default the name of the arm in lower case.
         motors: Motors of the joints; None for the motors of the model.
-        shapes: Whether the links have spheres and capsules for collisions. Neighbouring links collide with each other
-            too.
+        shapes: Whether the links have spheres and capsules for collisions. Neighbouring links also collide with each
+            other.
 
     Returns:
-        XML; write it to a file with the ending `.xml`. `tool0` is a site: the flange as the controller reports it. Each
-        joint has a motor of its name, whose control is a torque in Nm.
+        Text of an XML file, which should have the ending `.xml`. The site `tool0` is the flange as the controller
+        reports it. Each joint has a motor with the same name. The control input of a motor is a torque in Nm.
 
     Raises:
         UnknownModel: If no arm has this name.
@@ -70,7 +70,7 @@ def to_mjcf(
 
 
 def _add_shapes(body: ElementTree.Element, end: Rigid[float]) -> None:
-    """Add a sphere at the beginning of a link, and a capsule to its end."""
+    """Add a sphere at the beginning of a link, and a capsule from there to the end of the link."""
     ElementTree.SubElement(body, "geom", type="sphere", size=numbers(RADIUS))
     if math.hypot(*end[9:]) >= RADIUS:
         way = numbers(0.0, 0.0, 0.0, *end[9:])
@@ -89,7 +89,8 @@ def _add_joint(body: ElementTree.Element, model: Model, motors: Motors, i: int) 
 
 
 def _add_inertial(body: ElementTree.Element, model: Model, i: int, end: Rigid[float]) -> None:
-    # Masses are given in the frame at the end of the link. MJCF needs the tensor along the axes of the body.
+    # The model gives the centre of mass and the inertia in the frame at the end of the link. MJCF needs them in the
+    # frame of the body, which is at the beginning of the link.
     turn = np.array(end[:9]).reshape(3, 3)
     x, y, z = (turn @ model.link_cogs[i] + np.array(end[9:])).tolist()
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = (turn @ model.link_inertias[i] @ turn.T).tolist()

@@ -1,29 +1,33 @@
-"""Arm models: geometry, limits and masses of every model, as the vendor publishes them, in the table `arms.tsv`.
+"""Arm models: geometry, limits and masses that the vendor publishes for every model, from the table `arms.tsv`.
 
 The sources of the numbers are:
 
 - **DH rows**: the vendor's article "DH parameters for calculations of kinematics and dynamics". For UR15 and UR30: the
-  `default_kinematics.yaml` of the vendor's ROS description (`ur_description`). The configuration packets of controllers
-  also contain the rows of UR5 and UR5e. A real arm differs from its row by a factory calibration of up to a few
-  millimetres, which it sends in its kinematics packet.
-- **Position and speed limits**: the user manuals, through `joint_limits.yaml` of `ur_description`. The narrower elbow
-  of that file is not used, because it is a choice for planners and not a property of the arm.
+  `default_kinematics.yaml` of the vendor's ROS description (`ur_description`). The rows of UR5 and UR5e are also in the
+  configuration packets of controllers. The factory calibration of a real arm differs from its row by up to a few
+  millimetres. The controller sends this calibration in its kinematics packet.
+- **Position and speed limits**: the user manuals, through `joint_limits.yaml` of `ur_description`. The narrower limits
+  of the elbow in that file are not used, because they were chosen for motion planners and are not a property of the
+  arm.
 - **Link masses and centres of mass**: the same article. For UR15, UR18, UR30 and wrist 3 of UR20: the
   `physical_parameters.yaml` of `ur_description`. The masses of UR3e and UR5e explain the currents that simulated
   controllers report.
-- **Inertias of the links**: the same file of `ur_description`, 2.4.5 and later; see the comments of the table.
+- **Inertias of the links**: the same `physical_parameters.yaml`, in `ur_description` 2.4.5 and later; see the comments
+  in the table.
 - **Joint torques**: the vendor's article "Max. joint torques" and `joint_limits.yaml`.
-- **Payload and reach**: the vendor's data sheets. If a payload was raised during the life of a model, the newest value
-  is used.
+- **Payload and reach**: the vendor's data sheets. If the vendor has raised the payload of a model, the newest value is
+  used.
 - **Acceleration limits** are not published. The values are those that controllers report in their configuration packet:
   a CB2 UR5 for the CB arms, a simulated UR5e for the others. For all other models, they are an approximation.
-- **UR7e and UR12e** have the lengths and masses of UR5e and UR10e. They are reported to have the same robot types, so
-  the packets of an arm do not distinguish it from its successor.
-- **UR18 and UR8 Long**: the package ur-analytic-ik (0.1.0.post3) computes with these lengths. UR8 Long has no
-  `physical_parameters.yaml`. Its shoulder and wrists have the values of UR15, with whose meshes it is drawn. Its arm
-  links have the values of the vendor's ur10g-1750, which is drawn with the meshes of UR8 Long.
+- **UR7e and UR12e** have the lengths and masses of UR5e and UR10e. According to reports, they also have the same robot
+  types, so packets do not show whether an arm is a UR5e or a UR7e, or whether it is a UR10e or a UR12e.
+- **UR18 and UR8 Long**: the lengths are those in the package ur-analytic-ik (0.1.0.post3). UR8 Long has no
+  `physical_parameters.yaml`. Its shoulder and wrists have the values of UR15, because `ur_description` draws them with
+  the meshes of UR15. Its arm links have the values of the vendor's ur10g-1750, because `ur_description` draws that arm
+  with the meshes of UR8 Long.
 
-The attribute `guesses` of a model lists the values that are not published for it, but are taken from another model.
+The attribute `guesses` of a model lists the values that are not published for this model. These values are taken from
+another model.
 """
 
 from __future__ import annotations
@@ -60,15 +64,15 @@ _SHAPES: Mapping[str, tuple[int, ...]] = {
 
 _HALF_PI = math.pi / 2.0
 _ALPHA = np.array([_HALF_PI, 0.0, 0.0, _HALF_PI, -_HALF_PI, 0.0])
-# Axis of the cylinder of each link in the DH frame at its end: arm links lie along x, the flange along z, and the other
-# joints along y.
+# Axis of each link in the DH frame at its end (0 is x, 1 is y, 2 is z), for inertias that are given as those of a
+# cylinder. Arm links lie along x, the flange along z, and the other joints along y.
 _AXES = (1, 0, 0, 1, 1, 2)
 
 
 class UnknownModel(LocalError, ValueError):
-    """Error for a name that no arm in `MODELS` has."""
+    """Error: no arm in `MODELS` has this name."""
 
-    __module__ = "urlink"  # users import it from this module, and tracebacks show it
+    __module__ = "urlink"  # users import the class from `urlink`, so tracebacks show this name
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,10 +82,10 @@ class Model:
     Two models are equal only if they are the same object. `MODELS` contains each model once.
 
     Attributes:
-        name: Name by the vendor, such as `"UR5e"`.
+        name: Name that the vendor uses, such as `"UR5e"`.
         generation: Generation: `"CB"` (CB2 and CB3) or `"e"` (e-Series and later arms, up to UR30).
-        robot_type: Number in the configuration packet. A CB arm and its successors share it.
-        dh_a: Link lengths, shape (6,), in m. The arm lengths are negative, as the vendor writes them.
+        robot_type: Number of the model in the configuration packet. A CB arm and its successors have the same number.
+        dh_a: Link lengths, shape (6,), in m. The lengths of the two arm links are negative, as in the vendor's table.
         dh_d: Link offsets, shape (6,), in m.
         dh_alpha: Link twists, shape (6,), in rad.
         dh_theta: Joint offsets, shape (6,), in rad.
@@ -89,19 +93,23 @@ class Model:
             limit. On the e-Series, a controller reports limits that are 3 degrees wider (its safety tolerance).
         max_speed: Maximum joint speeds, shape (6,), in rad/s. On the e-Series, a controller reports speeds that are
             0.2 rad/s higher (its safety tolerance).
-        max_acceleration: Maximum joint accelerations, shape (6,), in rad/s². Not published; see the text of the module.
+        max_acceleration: Maximum joint accelerations, shape (6,), in rad/s². Not published; see the docstring of the
+            module.
         payload: Maximum payload, in kg.
         reach: Reach according to the data sheet, in m.
-        link_masses: Mass of the link after each joint, shape (6,), in kg. The base does not move, and is not included.
+        link_masses: Mass of the link after each joint, shape (6,), in kg. The base is not included, because it does not
+            move.
         link_cogs: Centre of mass of each link in the DH frame at its end, shape (6, 3), in m.
-        link_inertias: Inertia of each link about its centre of mass along the axes of that frame, shape (6, 3, 3), in
-            kg m².
+        link_inertias: Inertia of each link about its centre of mass, along the axes of the DH frame at its end, shape
+            (6, 3, 3), in kg m².
         max_torque: Maximum joint torques, shape (6,), in Nm.
-        guesses: Names of the attributes that are not known for this model, but taken from a similar model.
+        guesses: Names of the attributes that are not published for this model. Their values are taken from a similar
+            model.
 
     Raises:
-        BadValue: If an array has the wrong shape, or the DH rows are not those of a nominal UR arm: a1, a4..a6, d2, d3
-            and all theta zero, and twists of exactly 0 or ±90 degrees. The closed-form kinematics require this.
+        BadValue: If an array has the wrong shape, or the DH rows are not those of a nominal UR arm. The closed-form
+            kinematics require that a1, a4..a6, d2, d3 and all theta are zero, and that all twists are exactly 0 or ±90
+            degrees.
     """
 
     name: str
@@ -147,7 +155,7 @@ class Model:
 def _arm(name: str, row: Mapping[str, str]) -> Model:
     a2, a3 = _numbers(row["a2 a3"])
     d1, d4, d5, d6 = _numbers(row["d1 d4 d5 d6"])
-    shoulder, elbow, wrists = _numbers(row["torque"])  # base and shoulder have equal motors, and so have the wrists
+    shoulder, elbow, wrists = _numbers(row["torque"])  # base and shoulder have equal motors, and also the three wrists
     turn = 2.0 * math.pi
     limits = np.array([[-turn, turn]] * 6)
     if row.get("position_limits") == "endless wrist":
@@ -184,7 +192,8 @@ def _numbers(text: str) -> list[float]:
 def _tensor(numbers: Sequence[float], axis: int) -> FloatArray:
     """Return a (3, 3) tensor from ixx, ixy, ixz, iyy, iyz, izz, or from the two inertias of a cylinder.
 
-    The inertias of a cylinder are those across its axis and about its axis.
+    The two inertias of a cylinder are the inertia about an axis across the cylinder, and the inertia about its own
+    axis.
     """
     if len(numbers) == 2:
         return np.diag([numbers[each == axis] for each in range(3)])
@@ -193,7 +202,10 @@ def _tensor(numbers: Sequence[float], axis: int) -> FloatArray:
 
 
 def _read_arms() -> Iterator[Model]:
-    """Yield the arms of the table. Lines that begin with # are comments; "as UR5" means the value of the UR5."""
+    """Yield the arms of the table.
+
+    Lines that begin with # are comments. A value "as UR5" means the value of the UR5.
+    """
     arms: dict[str, dict[str, str]] = {}
     for line in Path(__file__).with_name("arms.tsv").read_text(encoding="utf-8").splitlines()[1:]:
         if not line.startswith("#"):
@@ -203,18 +215,18 @@ def _read_arms() -> Iterator[Model]:
     return (_arm(name, row) for name, row in arms.items())
 
 
-#: All known arms, by the name that the vendor uses.
+#: All known arms. The keys are the names that the vendor uses.
 MODELS: Mapping[str, Model] = MappingProxyType({arm.name: arm for arm in _read_arms()})
 
 _BY_FOLDED_NAME = {
     spelling: arm for name, arm in MODELS.items() for spelling in (name.casefold(), name.casefold().replace(" ", ""))
 }
-# First arm with each number: UR7e and UR12e report the numbers of UR5e and UR10e.
+# First arm with each robot type. UR7e and UR12e are not included, because they report the numbers of UR5e and UR10e.
 _BY_ROBOT_TYPE = {(arm.robot_type, arm.generation): arm for arm in reversed(list(MODELS.values()))}
 
 
 def model(name: str) -> Model:
-    """Return the arm with this name, in upper or lower case. The space in "UR8 Long" is optional.
+    """Return the model with this name, in upper or lower case. The space in "UR8 Long" is optional.
 
     Raises:
         UnknownModel: If no arm has this name. The message lists the known arms.
@@ -229,10 +241,10 @@ def model(name: str) -> Model:
 
 
 def model_of(robot_type: int, e_series: bool) -> Model | None:
-    """Return the arm of a robot type (from a configuration packet) and a generation of controllers.
+    """Return the model with a robot type (from a configuration packet), for a generation of controllers.
 
     The result is None if the number belongs to no known arm, or to an arm that was never made in this generation. UR7e
-    and UR12e report the numbers of UR5e and UR10e, so the result is the latter.
+    and UR12e report the numbers of UR5e and UR10e, so for these arms the result is UR5e or UR10e.
 
     Args:
         robot_type: Number in the configuration packet.
@@ -247,7 +259,7 @@ def model_of(robot_type: int, e_series: bool) -> Model | None:
 
 
 def indistinguishable(arm: Model) -> tuple[Model, ...]:
-    """Return all arms that report the same robot type as `arm`, including itself. A UR7e looks like a UR5e.
+    """Return all arms that report the same robot type as `arm`, including `arm`; for example UR5e and UR7e.
 
     >>> [each.name for each in indistinguishable(model("UR5e"))]
     ['UR5e', 'UR7e']

@@ -1,15 +1,17 @@
-"""Motors and gears in the joints of an arm, which the published masses do not include.
+"""Inertia, torque constants and friction of the motors and gears in the joints of an arm.
 
     >>> from urlink.arm.motors import motors_of
     >>> motors_of("UR10e").rotor_inertias
     (5.9, 5.9, 1.862, 0.587, 0.587, 0.587)
 
-Joints are made in sizes, so known values of one arm also apply to joints of the same size in other arms. The evidence
-and the possible error of each number are in `urlink.arm.parameters`. Arms without a log use values by analogy there.
+The published masses do not include these values. The vendor makes joints in a few sizes, so known values of one arm
+also apply to joints of the same size in other arms. The evidence and the possible error of each number are in
+`urlink.arm.parameters`. If there is no log of an arm, the table contains values of similar arms.
 
 The torque of a joint is the torque of the rigid bodies (`urlink.dynamics`) plus the inertia of its rotor times the
-acceleration. Controllers show exactly this sum as `target_moment`. The current is this torque divided by the torque
-constant, plus friction. Controllers show it as `target_current`, and as `joint_control_output`.
+acceleration. Controllers report exactly this sum as `target_moment`. The motor current is this sum divided by the
+torque constant, plus a current for friction. Controllers report this current as `target_current`, and as
+`joint_control_output`.
 """
 
 from __future__ import annotations
@@ -34,10 +36,10 @@ class Motors:
     """Motors and gears of one arm, with values at the joints, from base to wrist 3.
 
     Attributes:
-        rotor_inertias: Inertias of rotor and gear times the square of the gear ratio, shape (6,), in kg m².
-        torque_constants: Torques at the joint per current, shape (6,), in Nm per A.
-        coulomb: Currents of the friction that does not depend on the speed, shape (6,), in A.
-        viscous: Currents of the friction that grows with the speed, shape (6,), in A s/rad.
+        rotor_inertias: Inertias of rotors and gears, multiplied by the square of the gear ratio, shape (6,), in kg m².
+        torque_constants: Joint torques per motor current, shape (6,), in Nm per A.
+        coulomb: Currents for the friction that does not depend on the speed, shape (6,), in A.
+        viscous: Currents for the friction that grows with the speed, shape (6,), in A s/rad.
     """
 
     rotor_inertias: tuple[float, ...]
@@ -61,7 +63,7 @@ class Motors:
         ]
 
     def friction_torque(self, qd: Sequence[float]) -> tuple[FloatArray, FloatArray]:
-        """Return the friction torques and their slopes over speed, shape (6,), in Nm and Nm s/rad; speeds in rad/s."""
+        """Return the friction torques in Nm, and their slopes in Nm s/rad, shape (6,), for speeds in rad/s."""
         constants = np.array(self.torque_constants)
         rub = [friction(c, b, v) for c, b, v in zip(self.coulomb, self.viscous, qd, strict=True)]
         rises = np.abs(qd) < FULL_SPEED
@@ -70,19 +72,22 @@ class Motors:
 
 
 def friction(coulomb: float, viscous: float, qd: float) -> float:
-    """Return the friction current of a joint in A, as controllers compute it; zero at rest. The speed is in rad/s."""
+    """Return the friction current of a joint in A, as controllers compute it, for a speed in rad/s; zero at rest."""
     return coulomb * min(max(qd / FULL_SPEED, -1.0), 1.0) + viscous * qd
 
 
 def joint_sizes(name: str) -> list[str]:
-    """Return the sizes of the joints of an arm, by their names in the table of parameters: "size 3", or "433 Nm"."""
+    """Return the sizes of the joints of an arm, as the table of parameters names them: "size 3" or "433 Nm"."""
     return [
         f"size {size}" if len(size) == 1 else f"{size} Nm" for size in parameters()["joint_sizes", name].value.split()
     ]
 
 
 def force_size(name: str) -> str:
-    """Return the arm or the size of the base joint for which the noise of the force is known; "size 4" for others."""
+    """Return the row of the noise of the force in the table of parameters: the arm if it has one, or a joint size.
+
+    The joint size is that of the base. Larger joints, for which the table has no noise, count as "size 4".
+    """
     if ("force_noise", name) in parameters():
         return name
     size = joint_sizes(name)[0]
@@ -98,7 +103,7 @@ def joint_numbers(parameter: str, name: str) -> tuple[float, ...]:
 
 
 def motors_of(arm: Model | str) -> Motors:
-    """Return the motors of an arm, as far as they are known.
+    """Return the motors of an arm: logged values of this arm if there are any, else the values of its joint sizes.
 
     Raises:
         UnknownModel: If no arm has this name.

@@ -1,17 +1,17 @@
 """Unpublished numbers of robots, each with its evidence, from the table `parameters.tsv`.
 
-Each row has a name, the object it applies to (an arm, a joint size, or ""), the value, the interval that contains it
-according to all evidence, the unit, the evidence, the source as text, and the module that uses it. The kinds of
-evidence are:
+Each row has a name, the object it applies to (an arm, a joint size, or ""), the value, the interval that contains the
+value according to all evidence, the unit, the kind of evidence, the source as text, and the module that uses the value.
+The kinds of evidence are:
 
-- **log**: bytes or a log of a real arm, or of the vendor's simulated arm, show it;
-- **document**: a document of the vendor states it;
-- **thread**: users, or authors of other software, report it;
-- **analogy**: it is the known value of a similar object;
-- **guess**: only judgement. The interval shows how large the error can be.
+- **log**: recorded bytes or a log of a real arm, or of the vendor's simulated arm, show the value;
+- **document**: a document of the vendor states the value;
+- **thread**: users, or authors of other software, report the value;
+- **analogy**: the value is the known value of a similar object;
+- **guess**: the value is estimated without evidence. The interval shows how large the error can be.
 
-The value "assumed" is not a number: it stands for a behaviour, which the name and the source describe. All modules read
-their numbers here, so that each number is defined in one place.
+The value "assumed" is not a number. The value "assumed" marks a behaviour that is assumed. The name and the source of
+the row describe this behaviour. All modules read their numbers here, so that each number is defined in one place.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from linkcore.errors import BadValue
 
 __all__ = ["Evidence", "Parameter", "is_assumed", "number", "numbers", "parameters"]
 
-#: Kind of evidence for a value; see the text of the module.
+#: Kind of evidence for a value; see the docstring of the module.
 Evidence = Literal["log", "document", "thread", "analogy", "guess"]
 
 _TABLE = Path(__file__).with_name("parameters.tsv")
@@ -37,14 +37,15 @@ class Parameter:
 
     Attributes:
         name: Name, unique together with `of`.
-        of: Name of an arm, joint size or generation, or "".
-        value: One number, six numbers separated by blanks, "yes" or "no", "as" something else, or "assumed".
+        of: Object that the value applies to: the name of an arm, joint size or generation, or "".
+        value: One number, six numbers separated by blanks, "yes" or "no", "as" with the name of another object (such as
+            "as UR5e"), or "assumed".
         low: Lower end of the interval of the value; None if no number is known.
         high: Upper end of this interval; None if no number is known.
-        unit: Unit; "" for a ratio, or if there is none.
+        unit: Unit; "" for a ratio, or if the value has no unit.
         evidence: Kind of evidence.
         source: Source of the value, as text.
-        used: Module below `urlink` that uses the value.
+        used: Module that uses the value, relative to `urlink`.
     """
 
     name: str
@@ -60,7 +61,7 @@ class Parameter:
 
 @cache
 def parameters() -> dict[tuple[str, str], Parameter]:
-    """Return the table, by the names of the parameters and of the objects that they apply to."""
+    """Return the rows of the table. The key of a row is its name and the object that it applies to."""
     found: dict[tuple[str, str], Parameter] = {}
     for line in _TABLE.read_text(encoding="utf-8").splitlines()[1:]:
         name, of, value, low, high, unit, evidence, source, used = line.split("\t")
@@ -70,7 +71,7 @@ def parameters() -> dict[tuple[str, str], Parameter]:
 
 
 def number(name: str, of: str = "") -> float:
-    """Return the value of a parameter that is one number.
+    """Return the value of a parameter with a single number.
 
     Raises:
         BadValue: If the parameter does not exist.
@@ -91,7 +92,7 @@ def numbers(name: str, of: str = "") -> tuple[float, ...]:
 
 
 def is_assumed(name: str) -> bool:
-    """Return the value of a parameter that is "yes" or "no".
+    """Return whether the value of a parameter is "yes". The value of such a parameter is "yes" or "no".
 
     Raises:
         BadValue: If the parameter does not exist.

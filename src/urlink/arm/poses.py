@@ -1,8 +1,9 @@
 """Calculations with poses and rotations.
 
-A pose has the format of Universal Robots: x, y, z in m, and a rotation vector in rad, whose direction is the axis and
-whose length is the angle. It gives the position and orientation of one frame in another frame. All functions accept one
-pose, shape (6,), or any number of poses, shape (..., 6). They broadcast like numpy, and return new float64 arrays.
+A pose has the format of Universal Robots: x, y, z in m, and a rotation vector in rad. The direction of the rotation
+vector is the axis, and its length is the angle. A pose gives the position and orientation of one frame in another
+frame. All functions accept one pose, shape (6,), or any number of poses, shape (..., 6). The functions broadcast like
+those of numpy, and return new float64 arrays.
 
     >>> from urlink import poses
     >>> # in the base frame, turned by 90 degrees
@@ -20,8 +21,8 @@ Rotations convert from and to rotation vectors:
 - **rpy** is roll, pitch and yaw in rad: rotations about the fixed x axis, then the fixed y axis, then the fixed z axis,
   as in `rpy2rotvec` of URScript and in URDF.
 
-The angle of a returned rotation vector is 0 to pi. At exactly pi, both directions of the axis are the same rotation.
-For a matrix or a pose, the direction whose largest component is positive is returned.
+The angle of a returned rotation vector is 0 to pi. At exactly pi, both directions of the axis describe the same
+rotation. For a matrix or a pose, the functions then return the direction that has a positive largest component.
 """
 
 from __future__ import annotations
@@ -50,16 +51,17 @@ __all__ = [
     "transform",
 ]
 
-#: Maximum deviation of the columns of a rotation matrix from orthonormal. Matrices of float32 deviate by 1e-7.
+#: Maximum deviation of the columns of a rotation matrix from orthonormal columns. Matrices of float32 deviate by 1e-7.
 _ORTHONORMAL = 1e-4
-# If the x axis points up or down more closely than this, roll and yaw turn about the same axis.
+# If the cosine of the pitch is smaller than this, the x axis points up or down, and roll and yaw turn about the same
+# axis.
 _GIMBAL_LOCK = 1e-14
 
 
 def compose(first: ArrayLike, second: ArrayLike) -> FloatArray:
     """Transform `second` from the frame that `first` describes to the reference frame of `first`.
 
-    It is the equivalent of pose_trans in URScript.
+    This function is the equivalent of pose_trans in URScript.
 
     Args:
         first: Poses, shape (..., 6).
@@ -80,7 +82,7 @@ def compose(first: ArrayLike, second: ArrayLike) -> FloatArray:
 def invert(pose: ArrayLike) -> FloatArray:
     """Return the inverse pose: the pose of the reference frame in the frame that `pose` describes.
 
-    It is the equivalent of pose_inv in URScript.
+    This function is the equivalent of pose_inv in URScript.
 
     Args:
         pose: Poses, shape (..., 6).
@@ -101,9 +103,10 @@ def invert(pose: ArrayLike) -> FloatArray:
 
 
 def interpolate(first: ArrayLike, second: ArrayLike, fraction: ArrayLike) -> FloatArray:
-    """Interpolate between two poses: the position on a straight line, the rotation about one axis.
+    """Interpolate between two poses: move the position on a straight line, and turn about one axis.
 
-    The rotation is at most 180 degrees. The result is on the path of `movel`, and equals interpolate_pose in URScript.
+    The rotation is at most 180 degrees. The result is on the path of `movel`, and equals the result of interpolate_pose
+    in URScript.
 
     Args:
         first: Poses at the fraction 0, shape (..., 6).
@@ -250,10 +253,11 @@ def quaternion_to_rotvec(quaternion: ArrayLike) -> FloatArray:
     # Normalise before squaring, so that no length is too small or too large.
     largest = np.abs(given).max(axis=-1, keepdims=True)
     if not largest.all():
-        raise BadValue(f"a quaternion of length 0 is not a rotation; at {list(np.argwhere(largest[..., 0] == 0.0)[0])}")
+        at = list(np.argwhere(largest[..., 0] == 0.0)[0])
+        raise BadValue(f"a quaternion of length 0 is not a rotation; its index is {at}")
     x, y, z, w = (given / largest).reshape(-1, 4).T
     length = np.sqrt(x * x + y * y + z * z)
-    # A rotation has two quaternions. Use the one whose angle is at most pi.
+    # Two quaternions describe the same rotation. Use the quaternion with an angle of at most pi.
     scale = 2.0 * np.arctan2(length, np.abs(w)) / np.where(length > 0.0, length, 1.0) * np.where(w < 0.0, -1.0, 1.0)
     return np.stack((scale * x, scale * y, scale * z), axis=-1).reshape(*given.shape[:-1], 3)
 
@@ -274,8 +278,8 @@ def rotvec_to_rpy(rotvec: ArrayLike) -> FloatArray:
     level = np.hypot(r00, r10)
     locked = level < _GIMBAL_LOCK
     yaw = np.where(locked, np.arctan2(-r01, r11), np.arctan2(r10, r00))
-    # Roll of the rotation after the yaw is removed. Close to a pitch of ±pi/2 the yaw has few digits, and only a roll
-    # that is computed with the same yaw reproduces the rotation.
+    # Compute the roll of the rotation that remains after the yaw is removed. Close to a pitch of ±pi/2, the yaw has few
+    # correct digits. Only a roll that is computed with the same yaw reproduces the rotation.
     s, c = np.sin(yaw), np.cos(yaw)
     roll = np.where(locked, 0.0, np.arctan2(s * r02 - c * r12, c * r11 - s * r01))
     return np.stack((roll, np.arctan2(-r20, level), yaw), axis=-1).reshape(given.shape)
@@ -285,7 +289,7 @@ def rpy_to_rotvec(rpy: ArrayLike) -> FloatArray:
     """Convert roll, pitch and yaw, shape (..., 3), in rad, to rotation vectors, shape (..., 3), in rad.
 
     Raises:
-        BadValue: If the values are not three finite numbers each.
+        BadValue: If a row does not have three finite numbers.
 
     >>> rpy_to_rotvec([[0.1, 0, 0], [0, 0, 0.2]]).round(6).tolist()
     [[0.1, 0.0, 0.0], [0.0, 0.0, 0.2]]

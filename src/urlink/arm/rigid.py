@@ -1,12 +1,13 @@
 """Rigid transforms as twelve numbers, for poses, kinematics and dynamics.
 
 A transform is a tuple of twelve numbers: the rows of the rotation matrix, then the position in m. Each number is a
-float, or an array of n floats for n transforms. The same formulas serve both cases. One transform needs no call into
-numpy, which would take longer than the arithmetic, and a thousand transforms need as many calls as one.
+float, or an array of n floats for n transforms. The same formulas are used in both cases. A single transform is
+computed without numpy, because calls into numpy would take longer than the arithmetic. With arrays, the number of calls
+into numpy does not depend on the number of transforms.
 
-Rotations are given and returned as rotation vectors, as Universal Robots writes them: the direction is the axis, and
-the length is the angle in rad. Conversions use the largest component of the unit quaternion, so they keep their
-precision at every angle, including 0 and pi.
+Rotations are given and returned as rotation vectors, as in poses of Universal Robots. The direction of the vector is
+the axis, and its length is the angle in rad. Conversions use the largest component of the unit quaternion, so they keep
+their precision at every angle, including 0 and pi.
 """
 
 from __future__ import annotations
@@ -25,12 +26,12 @@ from .vectors import FloatArray
 
 Number = TypeVar("Number", float, FloatArray)
 
-#: Rotation by rows, then position: r00 r01 r02 r10 r11 r12 r20 r21 r22 px py pz.
+#: Rotation matrix row by row, then position: r00 r01 r02 r10 r11 r12 r20 r21 r22 px py pz.
 Rigid = tuple[Number, Number, Number, Number, Number, Number, Number, Number, Number, Number, Number, Number]
 Six = tuple[Number, Number, Number, Number, Number, Number]
 Quaternion = tuple[Number, Number, Number, Number]
 
-# The most frequent types come first, because the check whether a list is a `Sequence` takes ten times as long.
+# The most frequent types come first, because the check for `Sequence` takes ten times as long.
 _LISTS = (list, tuple, Sequence)
 _ROWS = (*_LISTS, np.ndarray)
 
@@ -39,14 +40,14 @@ IDENTITY: Rigid[float] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0,
 
 @dataclass(frozen=True)  # a NamedTuple cannot be generic before Python 3.11
 class MathFunctions(Generic[Number]):
-    """Functions that formulas need, for floats or for arrays."""
+    """Mathematical functions for the formulas, either for floats or for arrays."""
 
     sin: Callable[[Number], Number]
     cos: Callable[[Number], Number]
     sqrt: Callable[[Number], Number]
     atan2: Callable[[Number | float, Number], Number]
     hypot: Callable[[Number, Number], Number]
-    #: Number limited to at least zero: `max(x, 0)`.
+    #: Function that returns `max(x, 0)`.
     positive: Callable[[Number], Number]
 
 
@@ -59,7 +60,7 @@ ROWS: MathFunctions[FloatArray] = MathFunctions(
 
 
 def floats(values: ArrayLike, n: int, what: str) -> list[float]:
-    """Convert `n` finite numbers to plain floats, because arithmetic on numpy scalars is several times as slow.
+    """Convert `n` finite numbers to plain floats, because arithmetic with numpy scalars is several times slower.
 
     Raises:
         BadValue: If `values` is not `n` finite numbers.
@@ -75,10 +76,11 @@ def floats(values: ArrayLike, n: int, what: str) -> list[float]:
 
 
 def rows(values: ArrayLike, shape: tuple[int, ...], what: str) -> FloatArray:
-    """Convert `values` to an array of finite float64 whose last dimensions are `shape`.
+    """Convert `values` to an array of finite float64 numbers; its last dimensions must be `shape`.
 
     Raises:
-        BadValue: If the shape is different, or an element is not a finite number. The message names the first such row.
+        BadValue: If the shape is different, or an element is not a finite number. The message names the first such
+            element.
     """
     expected = f"{what} must have the shape (..., {', '.join(map(str, shape))}) and hold finite numbers"
     try:
@@ -90,12 +92,12 @@ def rows(values: ArrayLike, shape: tuple[int, ...], what: str) -> FloatArray:
     finite = np.isfinite(array)
     if not finite.all():
         at = tuple(int(i) for i in np.argwhere(~finite)[0])
-        raise BadValue(f"{expected}; at {list(at)} is {array[at]}")
+        raise BadValue(f"{expected}; the value at {list(at)} is {array[at]}")
     return array
 
 
 def is_single(values: ArrayLike) -> bool:
-    """Return whether this is one row of numbers. Invalid values are rejected later, by `floats` and `rows`."""
+    """Return whether `values` is one row of numbers. Invalid values are rejected later, by `floats` and `rows`."""
     if isinstance(values, np.ndarray):
         return values.ndim <= 1
     # Converting to a numpy array first would take longer than the arithmetic.
@@ -103,7 +105,9 @@ def is_single(values: ArrayLike) -> bool:
 
 
 def aligned(*arrays: FloatArray) -> tuple[list[FloatArray], tuple[int, ...]]:
-    """Broadcast the leading dimensions of the arrays and flatten them to n rows; also return these dimensions.
+    """Broadcast the leading dimensions of the arrays, and flatten these dimensions to n rows.
+
+    Returns the flattened arrays, and the broadcast leading dimensions.
 
     Raises:
         BadValue: If the leading dimensions do not broadcast.
@@ -117,7 +121,7 @@ def aligned(*arrays: FloatArray) -> tuple[list[FloatArray], tuple[int, ...]]:
 
 
 def row(of: Rigid[FloatArray], i: int) -> Rigid[float]:
-    """Return one of n transforms."""
+    """Return transform number `i` of n transforms."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz = (float(number[i]) for number in of)
     return r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz
 
@@ -128,7 +132,7 @@ def take(of: Rigid[FloatArray], chosen: NDArray[np.bool_] | NDArray[np.intp]) ->
     return r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz
 
 
-# --- the group ---
+# --- product and inverse ---
 
 
 def product(first: Rigid[Number], second: Rigid[Number]) -> Rigid[Number]:
@@ -162,7 +166,7 @@ def invert(rigid: Rigid[Number]) -> Rigid[Number]:
 
 
 def _turned(px: Number, py: Number, pz: Number, x: Number, y: Number, z: Number, s: Number, v: Number) -> Rigid[Number]:
-    """Return the rotation about the unit axis x, y, z (Rodrigues); `s` is the sine of the angle, `v` 1 - its cosine."""
+    """Return the rotation about the unit axis x, y, z (Rodrigues); `s` is the sine of the angle, `v` 1 - cosine."""
     sx, sy, sz = s * x, s * y, s * z
     vx, vy, vz = v * x, v * y, v * z
     xx, yy, zz, xy, yz, zx = vx * x, vy * y, vz * z, vx * y, vy * z, vz * x
@@ -185,13 +189,14 @@ def from_poses(poses: FloatArray) -> Rigid[FloatArray]:
     """Return the transforms of poses, shape (n, 6)."""
     px, py, pz, rx, ry, rz = poses.T
     angle = np.hypot(np.hypot(rx, ry), rz)
-    # Without a rotation, any axis is correct, and 0, 0, 0 results in the identity.
+    # If the angle is 0, any axis is correct, and the axis 0, 0, 0 results in the identity.
     length = np.where(angle > 0.0, angle, 1.0)
     return _turned(px, py, pz, rx / length, ry / length, rz / length, np.sin(angle), 1.0 - np.cos(angle))
 
 
-# Four times the products of one component of a unit quaternion with all components: w, x, y, z. For the largest
-# component, they are as precise as the matrix.
+# Each of these functions multiplies one component of the unit quaternion by all four components (w, x, y, z), and
+# returns four times the products. If this component is the largest of the four, the products are as precise as the
+# matrix.
 def _by_w(r: Rigid[Number]) -> Quaternion[Number]:
     return 1.0 + r[0] + r[4] + r[8], r[7] - r[5], r[2] - r[6], r[3] - r[1]
 
@@ -214,12 +219,12 @@ def _scaled_quaternion(rigid: Rigid[float]) -> Quaternion[float]:
     if r00 + r11 + r22 > 0.0:
         return _by_w(rigid)
     w, x, y, z = _by_x(rigid) if r00 >= r11 and r00 >= r22 else _by_y(rigid) if r11 >= r22 else _by_z(rigid)
-    # Both quaternions describe the rotation. This one has the smaller angle.
+    # A quaternion and its negative describe the same rotation. Return the one with the smaller angle.
     return (-w, -x, -y, -z) if w < 0.0 else (w, x, y, z)
 
 
 def _scaled_quaternions(rigid: Rigid[FloatArray]) -> FloatArray:
-    """Return the same for n transforms, shape (4, n)."""
+    """Apply `_scaled_quaternion` to n transforms; the result has the shape (4, n)."""
     r00, r11, r22 = rigid[0], rigid[4], rigid[8]
     by_y = (r11 >= r22) & (r11 > r00)
     by_x = (r00 >= r22) & (r00 >= r11)
@@ -234,10 +239,10 @@ def _scaled_quaternions(rigid: Rigid[FloatArray]) -> FloatArray:
 
 
 def rotation_vector(rigid: Rigid[float]) -> tuple[float, float, float]:
-    """Return the rotation vector, with an angle of 0 to pi.
+    """Return the rotation vector of a transform, with an angle of 0 to pi.
 
-    At exactly pi, both directions of the axis are the same rotation. The direction whose largest component is positive
-    is returned.
+    At exactly pi, both directions of the axis describe the same rotation. In this case, the result is the direction
+    that has a positive largest component.
     """
     w, x, y, z = _scaled_quaternion(rigid)
     sine = math.hypot(x, y, z)
@@ -246,12 +251,12 @@ def rotation_vector(rigid: Rigid[float]) -> tuple[float, float, float]:
 
 
 def to_pose(rigid: Rigid[float]) -> Six[float]:
-    """Return x, y, z and the rotation vector."""
+    """Return the pose of a transform: x, y, z in m, and the rotation vector in rad."""
     return (*rigid[9:], *rotation_vector(rigid))
 
 
 def to_poses(rigid: Rigid[FloatArray]) -> FloatArray:
-    """Return poses, shape (n, 6)."""
+    """Return the poses of n transforms, shape (n, 6)."""
     w, x, y, z = _scaled_quaternions(rigid)
     sine = np.hypot(np.hypot(x, y), z)
     scale = 2.0 * np.arctan2(sine, w) / np.where(sine > 0.0, sine, 1.0)
@@ -259,7 +264,7 @@ def to_poses(rigid: Rigid[FloatArray]) -> FloatArray:
 
 
 def quaternions(rigid: Rigid[FloatArray]) -> FloatArray:
-    """Return unit quaternions x, y, z, w with w at least 0, shape (n, 4)."""
+    """Return the unit quaternions x, y, z, w of n transforms, shape (n, 4). The component w is at least 0."""
     scaled = _scaled_quaternions(rigid)
     unit: FloatArray = (scaled / np.linalg.norm(scaled, axis=0)).T
     return unit[:, [1, 2, 3, 0]]
@@ -269,14 +274,14 @@ def quaternions(rigid: Rigid[FloatArray]) -> FloatArray:
 
 
 def to_matrix(rigid: Rigid[float]) -> FloatArray:
-    """Return the homogeneous matrix, shape (4, 4)."""
+    """Return the homogeneous matrix of a transform, shape (4, 4)."""
     r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz = rigid
     flat = (r00, r01, r02, px, r10, r11, r12, py, r20, r21, r22, pz, 0.0, 0.0, 0.0, 1.0)
     return np.array(flat).reshape(4, 4)
 
 
 def to_matrices(rigid: Rigid[FloatArray]) -> FloatArray:
-    """Return homogeneous matrices, shape (n, 4, 4)."""
+    """Return the homogeneous matrices of n transforms, shape (n, 4, 4)."""
     parts = np.broadcast_arrays(*rigid)
     matrices = np.zeros((*parts[0].shape, 4, 4))
     matrices[..., :3, :3] = np.stack(parts[:9], axis=-1).reshape(*parts[0].shape, 3, 3)
@@ -286,12 +291,12 @@ def to_matrices(rigid: Rigid[FloatArray]) -> FloatArray:
 
 
 def from_matrix(matrix: FloatArray) -> Rigid[float]:
-    """Return the transform of a matrix, shape (4, 4). Its last row is ignored."""
+    """Return the transform of a homogeneous matrix, shape (4, 4). The last row of the matrix is ignored."""
     (r00, r01, r02, px), (r10, r11, r12, py), (r20, r21, r22, pz) = matrix[:3].tolist()
     return r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz
 
 
 def from_matrices(matrices: FloatArray) -> Rigid[FloatArray]:
-    """Return the transforms of matrices, shape (n, 4, 4)."""
+    """Return the transforms of homogeneous matrices, shape (n, 4, 4)."""
     (r00, r01, r02, px), (r10, r11, r12, py), (r20, r21, r22, pz) = np.moveaxis(matrices[:, :3], 0, -1)
     return r00, r01, r02, r10, r11, r12, r20, r21, r22, px, py, pz

@@ -1,12 +1,13 @@
 """Conversion of an arm to URDF, the robot description format that most other software reads.
 
 Links and joints have the names and frames of the vendor's ROS description (`ur_description`), so that software for that
-description also works here: `base_link`, `shoulder_pan_joint`, `shoulder_link` and so on to `wrist_3_joint`,
-`wrist_3_link` and `tool0`, which is the flange as the controller reports it. There is one difference: `base_link` is
-the controller's base frame, and is not turned by 180 degrees about z.
+description also works with this file. The names are `base_link`, `shoulder_pan_joint`, `shoulder_link` and so on, to
+`wrist_3_joint`, `wrist_3_link` and `tool0`. The frame `tool0` is the flange as the controller reports it. There is one
+difference. Here, `base_link` is the base frame of the controller. In the vendor's description, `base_link` is turned by
+180 degrees about z.
 
-The geometry is that of the given arm, calibrated or not. Limits, masses and inertias are those of `urlink.models`, even
-for a calibrated arm. Meshes are not included, because they belong to the vendor's description.
+The geometry is that of the given arm, either published or calibrated. Limits, masses and inertias are those of
+`urlink.models`, even for a calibrated arm. Meshes are not included, because they are part of the vendor's description.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from .rigid import Rigid
 
 __all__ = ["JOINTS", "LINKS", "link_frames", "link_poses", "to_urdf"]
 
-#: Radius of the shapes of the links, in m.
+#: Radius of the spheres that represent links for viewers, in m. The cylinders are thinner.
 RADIUS = 0.05
 
 #: Names of the moving links, starting at the shoulder.
@@ -41,11 +42,11 @@ def to_urdf(arm: Arm | Model | str, *, name: str | None = None, shapes: bool = F
     Args:
         arm: Calibrated or published `Arm`, `Model`, or name of a model.
         name: Name of the robot in the file; by default the name of the model in lower case.
-        shapes: Whether the links have cylinders and spheres, for viewers. They follow the geometry, but are neither a
-            likeness nor a hull of the arm.
+        shapes: Whether the links have cylinders and spheres, for viewers. These shapes follow the geometry of the arm,
+            but they neither look like the arm nor enclose it.
 
     Returns:
-        XML; write it to a file with the ending `.urdf`.
+        Text of an XML file, which should have the ending `.urdf`.
 
     Raises:
         UnknownModel: If no arm has this name.
@@ -78,14 +79,14 @@ def to_urdf(arm: Arm | Model | str, *, name: str | None = None, shapes: bool = F
 
 
 def link_frames(arm: Arm) -> Iterator[tuple[Rigid[float], Rigid[float]]]:
-    """Yield two frames of each link: its beginning in the previous link at joint position 0, and its end in itself.
+    """Yield two frames of each link: its beginning in the previous link at joint position 0, and its end in the link.
 
-    The joint turns about the z axis of the frame before the link, and can be at any position along this axis. As in the
-    vendor's description, it is at the beginning of the link, at the link offset d.
+    The joint turns about the z axis of the previous DH frame. A description can put the joint at any position along
+    this axis. As in the vendor's description, the joint is put at the beginning of the link, at the link offset d.
     """
     end = rigid.IDENTITY
     for link in arm.geometry.links:
-        # Position of the joint of the link in the previous frame, and its rotation at joint position 0.
+        # Pose of the joint in the previous DH frame, at joint position 0.
         joint = rigid.from_pose([0.0, 0.0, link.d, 0.0, 0.0, link.offset])
         begin = rigid.product(end, joint)
         # End of the link in the frame that turns with the joint.
@@ -125,7 +126,7 @@ def _add_joint(
 
 
 def _add_shapes(element: ElementTree.Element, end: Rigid[float]) -> None:
-    """Add a sphere at the beginning of a link, and a cylinder to its end."""
+    """Add a sphere at the beginning of a link, and a cylinder from there to the end of the link."""
     x, y, z = end[9:]
     length = math.hypot(x, y, z)
     turned = (math.atan2(math.hypot(x, y), z), math.atan2(y, x))
@@ -142,7 +143,7 @@ def _add_shapes(element: ElementTree.Element, end: Rigid[float]) -> None:
 
 
 def _add_inertial(element: ElementTree.Element, model: Model, i: int, end: Rigid[float]) -> None:
-    # The centre of mass is given in the frame at the end of the link.
+    # The model gives the centre of mass and the inertia in the frame at the end of the link.
     cog = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, *model.link_cogs[i].tolist())
     inertial = ElementTree.SubElement(element, "inertial")
     _add_origin(inertial, rigid.product(end, cog))
@@ -158,5 +159,5 @@ def _add_origin(element: ElementTree.Element, origin: Rigid[float]) -> None:
 
 
 def numbers(*values: float) -> str:
-    """Return the numbers with all digits, and without -0."""
+    """Return the numbers as text with all digits, separated by spaces. The number -0.0 becomes 0.0."""
     return " ".join(repr(value + 0.0) for value in values)

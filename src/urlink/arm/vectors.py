@@ -1,4 +1,4 @@
-"""Vectors of six numbers, one per joint or coordinate, from users."""
+"""Checks of vectors from users, with six numbers: one for each joint or each coordinate."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from linkcore.errors import BadValue
 
 FloatArray = NDArray[np.float64]
-#: Row of numbers from a user: joints, or a pose. Excludes text, which `numpy.typing.ArrayLike` would accept.
+#: Row of numbers from a user, such as joint positions or a pose. This type excludes text, which
+#: `numpy.typing.ArrayLike` would accept.
 Numbers = Sequence[float] | NDArray[np.floating[Any]] | NDArray[np.integer[Any]]
 
 #: Names of the joints, from base to wrist 3.
@@ -22,7 +23,7 @@ def numbers(values: ArrayLike, name: str) -> FloatArray:
     """Copy `values` to a float64 array.
 
     Raises:
-        BadValue: If `values` is not numbers, or not a regular array of numbers.
+        BadValue: If `values` contains a value that is not a number, or rows of different lengths.
     """
     if isinstance(values, (str, bytes)):
         raise BadValue(f"{name} is {values!r}; expected numbers")
@@ -57,7 +58,7 @@ def six_limits(values: ArrayLike, name: str) -> FloatArray:
     """Return six limits from one number for all joints, or from six numbers.
 
     Raises:
-        BadValue: If `values` is not one or six finite numbers above zero.
+        BadValue: If `values` is neither one nor six finite numbers above zero.
 
     >>> six_limits(2, "speed").tolist()
     [2.0, 2.0, 2.0, 2.0, 2.0, 2.0]

@@ -8,7 +8,8 @@ from linkcore.cli.program import Plugin, program
 
 __all__ = ["main"]
 
-#: Module of this folder that declares each command, or package that provides it, in the order of the help.
+#: Commands in the order of the help. A value is the module of this folder that declares the command, or the package
+#: that provides it.
 _COMMANDS: dict[str, str | Plugin] = {
     "monitor": "monitor",
     "echo": "echo",

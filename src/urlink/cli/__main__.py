@@ -1,4 +1,4 @@
-"""`python -m urlink.cli`: the `urlink` command, for systems where it is not on the path."""
+"""`python -m urlink.cli`: the `urlink` command, for systems on which the command is not on the path."""
 
 import sys
 

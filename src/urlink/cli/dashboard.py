@@ -1,4 +1,4 @@
-"""`urlink dashboard`: sends a command to the dashboard server, and shows whether the reply confirms it."""
+"""`urlink dashboard`: sends a command to the dashboard server, and shows whether the reply confirms the command."""
 
 from __future__ import annotations
 
@@ -54,7 +54,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _is_carried_out(command: str, reply: str) -> bool:
-    """Whether a reply confirms a command. For unknown commands, only the reply that it is unknown does not."""
+    """Return whether a reply confirms a command.
+
+    If urlink does not know the command, every reply confirms it, except the reply that the command is unknown.
+    """
     known = [each for each in COMMANDS.values() if f"{command} ".casefold().startswith(f"{each.name} ".casefold())]
     if not known:
         return not reply.casefold().startswith(COULD_NOT_UNDERSTAND)

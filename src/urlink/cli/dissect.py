@@ -42,13 +42,13 @@ _BOUNDARIES: dict[Interface, Callable[[], PackageBoundary | RealtimeBoundary]] =
 
 
 class Stretch(NamedTuple):
-    """A part of a stream of bytes.
+    """Part of a stream of bytes: a complete packet, or bytes that do not belong to a complete packet.
 
     Attributes:
         offset: Offset in the stream.
-        data: The bytes.
-        is_packet: Whether it is a whole packet; otherwise its bytes belong to no packet.
-        expected: Size of the packet that begins here and is cut off; None otherwise.
+        data: Bytes of the part.
+        is_packet: Whether the part is a complete packet.
+        expected: Size that a packet at the beginning of this part should have, if it is cut off; None otherwise.
     """
 
     offset: int
@@ -58,7 +58,7 @@ class Stretch(NamedTuple):
 
 
 def cut(data: bytes, interface: Interface) -> Iterator[Stretch]:
-    """Yield every byte of `data`, in order: whole packets, and the bytes between, before and after them."""
+    """Yield all bytes of `data` as parts, in order: complete packets, and the bytes before, between and after them."""
     boundary = _BOUNDARIES["realtime" if interface == "realtime" else "primary"]()
     framer = Framer(boundary, limit=None)  # no limit: all bytes are shown
     at = 0
@@ -74,7 +74,7 @@ def cut(data: bytes, interface: Interface) -> Iterator[Stretch]:
     if framer.rest:
         size, _ = boundary.declared(framer.rest, 0)
         if 0 < size <= len(framer.rest):
-            # The packet is whole, but the framer would wait for the next header to confirm it.
+            # The packet is complete, but the framer would wait for the next header to confirm it.
             yield Stretch(rest, framer.rest[:size], is_packet=True)
             rest, size = rest + size, 0
         if rest < len(data):
@@ -82,15 +82,16 @@ def cut(data: bytes, interface: Interface) -> Iterator[Stretch]:
 
 
 def guess_interface(data: bytes) -> Interface | None:
-    """Return the interface whose packets fill most of `data`; None if it contains no packet of any interface."""
+    """Return the interface with packets that fill most of `data`; None if there is no packet of any interface."""
     found = {interface: _filled(data, interface) for interface in _BOUNDARIES}
-    # The primary interface is preferred if both are possible, because its packets have more marks than their size.
+    # If both interfaces are possible, prefer the primary interface, because its packets can be recognised by more than
+    # their size.
     best = max(found, key=lambda interface: found[interface])
     return best if found[best] else None
 
 
 def _filled(data: bytes, interface: Interface) -> int:
-    """Return the number of bytes in whole packets, or in a packet that is cut off."""
+    """Return the number of bytes in complete packets, and in a packet that is cut off."""
     try:
         Framer(_BOUNDARIES[interface]()).feed(data)
     except WrongPeer:
@@ -117,7 +118,7 @@ def run(args: argparse.Namespace) -> int:
     """Show every packet in a file, field by field: offset, bytes in hex, name, value, unit, meaning.
 
     FILE contains raw bytes, for example from a network capture, or hex digits, or is a recording. With -, the bytes or
-    hex digits are read from stdin. Robot states are shown by sub-package. Bytes that no known layout explains are
+    hex digits are read from stdin. Robot states are shown by sub-package. Bytes that no known layout describes are
     shown as `tail`. Packets that cannot be decoded are shown with the reason. Bytes outside packets, and packets that
     are cut off, are shown too: nothing is hidden.
 
@@ -130,7 +131,7 @@ def run(args: argparse.Namespace) -> int:
       urlink dissect packet.bin --interface realtime --firmware 3.4 --json
       echo '00 00 00 05 10' | urlink dissect - --interface primary
     """
-    # On a terminal, this is shown only until the first packet is printed.
+    # On a terminal, the progress bar is shown only until the first packet is printed.
     with ProgressBar(f"dissecting {args.file}", args.quiet) as progress:
         pieces = itertools.starmap(_shown, enumerate(_pieces(args, progress), 1))
         return print_pieces(pieces, args, f" of {args.interface}" if args.interface else "")
@@ -169,7 +170,7 @@ def _sources(name: str, wanted: Interface | None) -> Iterator[tuple[Interface, b
 
 def _recorded(recording: RecordingFile, wanted: Interface | None) -> Iterator[tuple[Interface, bytes]]:
     if wanted is not None:
-        recording.channel(wanted)  # raises immediately, with the names of the recorded interfaces
+        recording.channel(wanted)  # raises an error with the recorded names if `wanted` is none of them
     for number, info in recording.channels.items():
         name = info["name"]
         if name not in INTERFACES or wanted not in (None, name):
@@ -189,16 +190,16 @@ def _recorded(recording: RecordingFile, wanted: Interface | None) -> Iterator[tu
 
 @dataclass
 class PacketPiece:
-    """A packet, a sub-package, or other bytes.
+    """Piece of the output: a packet, a sub-package, or other bytes.
 
     Attributes:
-        offset: Offset of its first byte.
-        data: Its bytes.
+        offset: Offset of the first byte.
+        data: Bytes of the piece.
         title: Class of the packet, or description of the bytes.
         layout: First firmware that sends this layout; None if there is no layout.
-        rows: Fields; their offsets count from the beginning of the piece.
+        rows: Fields, with offsets from the beginning of the piece.
         parts: Sub-packages.
-        error: Reason why it could not be decoded completely; None if it could.
+        error: Reason why the piece could not be decoded completely; None if there was no error.
     """
 
     offset: int
@@ -252,7 +253,7 @@ class PacketPiece:
 
 
 def dissect(data: bytes, interface: Interface, firmware: Firmware | None) -> Iterator[PacketPiece]:
-    """Yield every byte of `data`, in order."""
+    """Yield all bytes of `data` as pieces, in order."""
     said = firmware
     for stretch in cut(data, interface):
         if not stretch.is_packet:
@@ -262,13 +263,13 @@ def dissect(data: bytes, interface: Interface, firmware: Firmware | None) -> Ite
         else:
             piece, state = _package(stretch.data, stretch.offset, said)
             if isinstance(state, VersionMessage) and firmware is None:
-                # Later packets have the layouts of the firmware that the controller has reported.
+                # Decode later packets with the layouts of the firmware that the controller has reported.
                 said = Firmware(state.major, state.minor, state.bugfix or 0, state.build or 0)
             yield piece
 
 
 def _stray(stretch: Stretch, interface: Interface, firmware: Firmware | None) -> PacketPiece:
-    """Return bytes that are not a whole packet."""
+    """Return a piece with bytes that are not a complete packet."""
     if stretch.expected is None:
         return PacketPiece(stretch.offset, stretch.data, "no packet", error="these bytes belong to no packet")
     cut_off = f"cut off: expected {stretch.expected} bytes, got {len(stretch.data)}"
@@ -311,7 +312,7 @@ def _robot_state(data: bytes, offset: int, firmware: Firmware | None) -> PacketP
             break
         part = data[at : at + size]
         try:
-            # As if it were the only sub-package of a robot state.
+            # Decode the sub-package as if it were the only one of a robot state.
             state = decoder.decode(PACKAGE.pack(size=5 + size, type=16) + part)
         except PacketError as error:
             piece.parts.append(PacketPiece(offset + at, part, f"sub-package of type {part[4]}", error=str(error)))
@@ -341,7 +342,7 @@ def _row_lines(row: Row, start: int) -> Iterator[str]:
     for number, value in enumerate(values):
         at = number * width
         name, part = f"{row.name}[{number}]", row.data[at : at + width]
-        # The meaning of a vector is printed with its first element only.
+        # The meaning of a vector is printed only with its first element.
         yield from _field_lines(
             start + row.offset + at, part, name, as_text(value), row.unit, "" if number else row.doc
         )

@@ -37,10 +37,11 @@ _PORTS = {
     "dashboard": "power, brakes, installed programs",
 }
 
-#: Acceptable and bad delay of a wake-up of this computer, in seconds. A servo loop at 500 Hz has 2 ms.
+#: Delay of a wake-up of this computer, in seconds: largest delay that is ok, and smallest delay that is bad. A cycle of
+#: a servo loop at 500 Hz has only 2 ms.
 _LATE_OK, _LATE_BAD = 0.001, 0.01
 
-#: Limit of the longest gap between packets, in periods above the mean.
+#: Limit of the longest gap between packets: the mean gap, plus this number of periods.
 _JITTER = 1.5
 
 
@@ -64,8 +65,9 @@ def run(args: argparse.Namespace) -> int:
     """Check a controller, the network to it and this computer, and print problems.
 
     Each check prints one line: "ok", "look" for something that may be intended, or "BAD" for something that does not
-    work, with a remedy. Nothing is moved or switched. Each free RTDE input is claimed for some milliseconds to find
-    out whether another client holds it. If another client claims it at that moment, its claim is refused.
+    work, with a remedy. Nothing is moved or switched. Each free RTDE input is claimed for a few milliseconds to find
+    out whether another client has claimed it. If another client tries to claim the input at that moment, the
+    controller refuses this claim.
 
     examples:
       urlink doctor 192.168.56.101
@@ -120,7 +122,7 @@ def _findings(address: str, timeout: float, duration: float, progress: ProgressB
 
 
 def _expected(ports: Iterable[Finding], robot: Robot) -> Iterator[Finding]:
-    """Yield the findings about ports. A port that this generation does not have may be closed."""
+    """Yield the findings about ports. A closed port is ok if this generation of controllers does not have the port."""
     for finding in ports:
         if finding.state == "BAD" and finding.seen.startswith("rtde") and not _has_rtde(robot):
             yield Finding("ok", finding.topic, "rtde: closed; controllers before 3.3 have none")
@@ -151,7 +153,7 @@ def _topic(look: Callable[[Robot], Iterator[Finding]]) -> str:
 
 
 def _scheduling() -> Finding:
-    """Measure the delay of waking a thread that sleeps for 1 ms; a loop at 500 Hz depends on it."""
+    """Measure how late a thread wakes up that sleeps for 1 ms. A loop at 500 Hz needs a short delay."""
     late = []
     for _ in range(200):
         due = clock.now() + 0.001
@@ -188,7 +190,7 @@ def _ports(place: RobotAddress, timeout: float, progress: ProgressBar) -> Iterat
             yield Finding("BAD", f"port {port}", f"{name}: no answer", "check the address, the route and firewalls")
         except ConnectFailed as error:
             if is_unknown_host(error):
-                raise  # every port would report the same
+                raise  # every port would report the same error
             remedy = f"needed for {purpose}; check whether the service is switched off (Settings, Security, Services)"
             yield Finding("BAD", f"port {port}", f"{name}: {error}", remedy)
         else:

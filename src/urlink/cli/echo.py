@@ -17,8 +17,8 @@ def run(args: argparse.Namespace) -> int:
     Without FIELD, a line contains all fields. Fields of the real-time interface are named directly, for example
     q_actual. Fields of robot states (--interface primary) follow the name of their sub-package, for example
     joint_data.q_actual. --type selects sub-packages, messages or other packages by class. A field that the controller
-    does not send is printed as "-", and as null in JSON. If the output is too slow, packets are dropped. Their number
-    is printed on stderr at the end.
+    does not send is printed as "-", and as null in JSON. If the output is too slow, packets are dropped. The number of
+    dropped packets is printed on stderr at the end.
 
     examples:
       urlink echo 192.168.56.101 q_actual tcp_force

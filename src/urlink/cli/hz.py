@@ -25,10 +25,10 @@ def run(args: argparse.Namespace) -> int:
     """Measure the rate and jitter of incoming states, based on the times at which their bytes arrive.
 
     Each second, one line is printed: the rate, the shortest, mean and longest period, and the standard deviation of
-    the period over the last --window periods. The counters of the stream since the start follow. `missed` counts
-    states that never arrived, and `duplicates` counts states that arrived twice, based on the controller's clock.
-    States that arrive in one segment have a period of zero between them. The real-time interface sends 500 states a
-    second on e-Series and 125 on CB2 and CB3. The primary and secondary interfaces send 10.
+    the period over the last --window periods. The line ends with the counters of the stream since the start. `missed`
+    counts states that never arrived, and `duplicates` counts states that arrived twice, based on the controller's
+    clock. States that arrive in one segment have a period of zero between them. The real-time interface sends 500
+    states a second on e-Series and 125 on CB2 and CB3. The primary and secondary interfaces send 10.
 
     examples:
       urlink hz 192.168.56.101

@@ -22,11 +22,11 @@ from .options import ADDRESS, connected
     "info", "identify a controller", *ADDRESS, argument("--json", action="store_true", help="print one JSON object")
 )
 def run(args: argparse.Namespace) -> int:
-    """Identify a controller: its firmware and arm, and what this library knows about that firmware.
+    """Identify a controller: print its firmware and arm, and known facts about this firmware.
 
     Sizes and rates are from the matching row of the firmware table; `evidence` is the source of that row. If a
     controller does not send its version, the firmware is the oldest that sends packages of the same sizes, and is
-    marked as inferred. For a recording, the output also lists what is missing in it.
+    marked as inferred. For a recording, the output also lists the missing parts.
 
     examples:
       urlink info 192.168.56.101
@@ -80,7 +80,7 @@ def _facts(robot: Robot, quiet: bool) -> dict[str, Any]:
 
 
 def _missing(robot: Robot, quiet: bool) -> tuple[str, ...]:
-    """Return what is missing in a recording; empty for a controller, whose data was not received here."""
+    """Return the missing parts of a recording; empty for a controller."""
     place = parse_address(robot.address)
     if not isinstance(place, RecordingAddress):
         return ()
@@ -89,7 +89,7 @@ def _missing(robot: Robot, quiet: bool) -> tuple[str, ...]:
 
 
 def _name(kind: int, size: int) -> str:
-    """Return the name of a sub-package. If its number has two meanings, the size decides."""
+    """Return the name of a sub-package. If its type number has two meanings, the size decides."""
     for part in SUB_PACKAGES[kind]:
         if size >= min(layout.size for layout in part.LAYOUTS.all):
             return part.__name__

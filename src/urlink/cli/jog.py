@@ -14,9 +14,9 @@ from ..robot import Robot
 from .options import ADDRESS, connected
 from .packet_fields import joints_text
 
-#: Keys that move each of the six axes forward, and backward.
+#: Keys that move the six axes forward, and keys that move them backward.
 _FORWARD, _BACKWARD = b"123456", b"qwerty"
-#: Smallest fraction of full speed; factor of each + and -.
+#: Smallest fraction of full speed, and factor by which the keys + and - change the speed.
 _SLOWEST, _FACTOR = 0.01, 1.5
 #: Bytes that end the command: x, Ctrl-C if the terminal sends it as a byte, Ctrl-D.
 _END = b"x\x03\x04"
@@ -56,8 +56,8 @@ def run(args: argparse.Namespace) -> int:
       space         brake
       x, Ctrl-C     end
 
-    A terminal reports a held key by sending it repeatedly; it pauses before the first repetition. --hold sets how long
-    the arm moves after each key. If this is shorter than the pause, the arm stutters at first.
+    While you hold a key, the terminal repeats the key, after a pause before the first repetition. --hold sets how long
+    the arm moves after each key. If --hold is shorter than the pause, the arm stutters at first.
 
     examples:
       urlink jog 192.168.56.101
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 class _Hand:
-    """State that the keys have selected: frame and speed."""
+    """Frame and speed that the user has selected with the keys."""
 
     def __init__(self, robot: Robot, frame: FrameName, part: float, hold: float) -> None:
         self.goes_on = True

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import shlex
 import threading
 import time
 from collections.abc import Iterator
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from linkcore import clock
 from linkcore.cli.options import DURATION, argument, command
 from linkcore.cli.progress import ProgressBar
-from linkcore.cli.terminal import Interruption, drawing
+from linkcore.cli.terminal import Interruption, drawing, quoted
 from linkcore.errors import LinkError, LinkTimeout
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.streaming.stream import Stream
@@ -41,10 +40,10 @@ if TYPE_CHECKING:
 def run(args: argparse.Namespace) -> int:
     """Watch a robot: joints, tool, modes, inputs and outputs, and the rate of its data.
 
-    On a terminal, the view is drawn ten times a second. Elsewhere, and with --plain, one line is printed per second.
+    On a terminal, the view is drawn ten times a second. Otherwise, and with --plain, one line is printed per second.
     The status is SLOW if less than 95 % of the controller's states arrive. `missed` counts states that never arrived,
     and `duplicates` counts states that arrived twice, based on the controller's clock. When the connection is lost,
-    the view shows LOST and marks the last values as old. It continues when the controller is available again.
+    the view shows LOST and marks the last values as old. The view continues when the controller is available again.
 
     The real-time interface sends 125 or 500 states a second, with tool speed and force. The primary interface sends
     ten states a second, with the analogue signals and the messages of the controller. At the end, a summary and a next
@@ -58,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     with connected(args, with_motion(args.address)) as robot:
         views = watch(robot, args.interface)
         with ProgressBar(f"connecting to {args.address}", args.quiet):
-            next(views)  # this connects: an error is printed before anything is drawn
+            next(views)  # connects, so an error is printed before anything is drawn
         begun = clock.now()
         with Interruption(args.duration) as interruption, drawing(args.plain, tell, _line, _panel) as (draw, pause):
             _await_first(views, interruption)
@@ -90,14 +89,14 @@ def summary(view: MonitorView, seconds: float) -> str:
 
 
 def next_step(view: MonitorView, address: str) -> str:
-    """Suggest a command that continues from the view, and describe the command."""
-    place, quoted = parse_address(address), shlex.quote(address)
+    """Return a suggestion for the next command, with a description of this command."""
+    place, given = parse_address(address), quoted(address)
     if isinstance(place, RecordingAddress):
-        return f"next: urlink replay {shlex.quote(str(place.path))} to summarise the recording"
+        return f"next: urlink replay {quoted(str(place.path))} to summarise the recording"
     is_regular = view.status is StreamStatus.CONNECTED and not view.stats.missed and not view.stats.reconnects
     if not is_regular:
-        return f"next: urlink doctor {quoted} to find the cause of missing states"
-    return f"next: urlink record {quoted} run.urlog to record what the robot sends"
+        return f"next: urlink doctor {given} to find the cause of missing states"
+    return f"next: urlink record {given} run.urlog to record what the robot sends"
 
 
 def with_motion(address: str) -> str:
@@ -140,7 +139,8 @@ def watch(robot: Robot, interface: str) -> Iterator[MonitorView]:
             messages[:] = [_as_text(message)]
 
     if interface == "primary":
-        # Subscribe first: the first subscription connects, and messages are sent immediately.
+        # Subscribe to messages first: the first subscription connects, and then the controller sends messages
+        # immediately.
         stream.subscribe(on_message, RobotMessage)
     stream.subscribe(on_connection, ConnectionEvent)
     reading: Reading | None = None
@@ -177,7 +177,7 @@ def _usual_rate(robot: Robot, interface: str) -> float | None:
 
 
 def _as_text(message: RobotMessage) -> str:
-    """The content of a message, without the fields that all messages have."""
+    """Return the content of a message, without the fields that all messages have."""
     own = [name for name in message.FIELDS if name not in RobotMessage.FIELDS]
     values = ((name, getattr(message, name)) for name in own)
     return f"{type(message).__name__} " + " ".join(
@@ -201,7 +201,7 @@ class _Name:
         return self._text
 
     def _ask(self) -> None:
-        with contextlib.suppress(LinkError):  # lost again: the next reconnection tries again
+        with contextlib.suppress(LinkError):  # if the connection is lost again, the next one retries
             identity = self._robot.identity
             self._text = f"{identity.model or 'UR'}  firmware {identity.firmware}"
 
@@ -211,6 +211,6 @@ def _line(view: MonitorView) -> str:
 
 
 def _panel(view: MonitorView) -> MonitorPanel:
-    from .monitor_panel import MonitorPanel  # imported here, because it needs rich
+    from .monitor_panel import MonitorPanel  # imported here, because the module needs rich
 
     return MonitorPanel(view)

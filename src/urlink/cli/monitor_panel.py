@@ -1,4 +1,4 @@
-"""The drawing of `urlink monitor` on a terminal: the only module that needs rich."""
+"""Drawing of the view of `urlink monitor` on a terminal. Only this module needs the package rich."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from linkcore.text import printable
 
 from .monitor_view import MonitorView, Reading, StreamStatus, age_text, rate_text
 
-#: Width of the view in columns, if the terminal is that wide.
+#: Maximum width of the view, in columns. A narrower terminal has a narrower view.
 WIDTH = 100
-#: Width in columns below which the bars are omitted.
+#: Width of the view, in columns, below which the bars are omitted.
 _NARROW = 92
 _JOINTS = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
 _TURN = 2 * math.pi
@@ -44,7 +44,7 @@ _CALM |= {"READY_FOR_POWER_OFF", "SHUTTING_DOWN", "RESET", "SIMULATED"}
 
 
 class MonitorPanel:
-    """A view of the robot, as a rich renderable."""
+    """View of the robot, as an object that rich can draw."""
 
     def __init__(self, view: MonitorView) -> None:
         self._view = view
@@ -98,7 +98,7 @@ class MonitorPanel:
         return text
 
     def _body(self, reading: Reading, has_room: bool) -> list[Table | Text | Rule]:
-        # All old values are dim.
+        # Old values are drawn dim.
         shade: Callable[[str], str] = (lambda style: style) if self._view.is_fresh else (lambda style: "dim")
         rows: list[Table | Text | Rule] = []
         if reading.q is not None:
@@ -134,7 +134,7 @@ def _joints(reading: Reading, has_room: bool, shade: Callable[[str], str]) -> Ta
     if has_room:
         table.add_column(Text("-360°" + "0".center(_BAR - 10) + "+360°", _LABEL), width=_BAR)
     for name, width in (("q deg", 9), ("q rad", 8), ("qd rad/s", 8), ("I A", 7), ("T °C", 6)):
-        # A truncated number would be a wrong number, so the modes are narrowed instead.
+        # A truncated number would be a wrong number, so the column with the modes is made narrower instead.
         table.add_column(name, justify="right", style=shade(_VALUE), no_wrap=True, min_width=width)
     table.add_column("  mode", no_wrap=True, ratio=1)
     for number, q in enumerate(reading.q):
@@ -155,7 +155,7 @@ def _joints(reading: Reading, has_room: bool, shade: Callable[[str], str]) -> Ta
 
 
 def _bar(q: float, shade: Callable[[str], str]) -> Text:
-    """A bar that shows the joint position between minus and plus one turn."""
+    """Return a bar that shows the joint position between minus and plus one turn."""
     middle = _BAR // 2
     bar = "─" * middle + "┼" + "─" * middle
     if not math.isfinite(q):

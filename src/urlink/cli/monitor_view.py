@@ -22,10 +22,10 @@ from ..protocol.primary.robot_state import MasterboardData, RobotModeData, Robot
 from ..protocol.realtime.packets import RealtimeState
 from .packet_stream import counted
 
-#: Age, in seconds, above which data count as old although the connection exists: five states of the 10 Hz interfaces,
-#: 60 or more of the real-time interface.
+#: Age of the newest state, in seconds, above which its values count as old although the connection exists. In this
+#: time, a 10 Hz interface sends five states, and the real-time interface sends 60 or more states.
 FRESH = 0.5
-#: Fraction of the usual rate below which the status is SLOW, however recent the newest state is.
+#: Fraction of the usual rate below which the status is SLOW, even if the newest state is recent.
 ENOUGH = 0.95
 
 
@@ -45,8 +45,9 @@ class Reading:
     Attributes:
         received: Time of arrival.
         q: Joint positions in rad. Other values per joint: speeds in rad/s, currents in A, temperatures in degC.
-        pose: Pose of the tool, in m and rad. Also of the tool: speed in m/s and rad/s, force on it in N and Nm.
-        robot_mode: Name of the mode; the other modes are names too.
+        pose: Pose of the tool, in m and rad. Other attributes of the tool: speed in m/s and rad/s, force on the tool in
+            N and Nm.
+        robot_mode: Name of the robot mode. The other modes are also given as names.
         speed_scaling: Speed of the program; 1 is full speed.
         digital_inputs: Bit mask of the inputs; the outputs are a bit mask too.
     """
@@ -70,7 +71,7 @@ class Reading:
 
     @property
     def age(self) -> float:
-        """Seconds since it arrived."""
+        """Time since the state arrived, in seconds."""
         return 0.0 if self.received is None else max(self.received.age, 0.0)
 
 
@@ -103,7 +104,7 @@ def _realtime(state: RealtimeState) -> Reading:
         speed=_numbers(state.tcp_speed_actual),
         force=_numbers(state.tcp_force),
         robot_mode=_name(state.robot_mode),
-        # The status of newer firmware contains stops that the mode does not distinguish.
+        # The safety status of newer firmware distinguishes stops that the safety mode does not distinguish.
         safety_mode=_name(state.safety_mode if state.safety_status is None else state.safety_status),
         program=_name(state.program_state),
         speed_scaling=state.speed_scaling,
@@ -135,7 +136,7 @@ def _primary(state: RobotState) -> Reading:
 
 
 def _safety(mode: RobotModeData | None, board: MasterboardData | None) -> str | None:
-    """Return the safety mode. CB2 has none, so for CB2 it is derived from the flags of the robot mode."""
+    """Return the safety mode. CB2 does not send a safety mode; for CB2, derive it from the robot mode."""
     if board is not None and board.safety_mode is not None:
         return board.safety_mode.name
     if mode is None:
@@ -178,7 +179,7 @@ def _one(place: str, value: float, domain: AnalogDomain) -> AnalogSignal:
 
 
 class StreamStatus(enum.Enum):
-    """State of a stream in one word, which shows whether the displayed values are current."""
+    """Status of a stream, as one word. The status shows whether the displayed values are current."""
 
     CONNECTING = "CONNECTING"
     WAITING = "WAITING"
@@ -200,7 +201,8 @@ def status_of(
 
     Args:
         connection: State of the stream's connection.
-        has_latest: Whether the stream has a newest state; its `latest` is None after a lost connection.
+        has_latest: Whether the property `latest` of the stream is a state. After the connection was lost, `latest` is
+            None.
         reading: Last reading, possibly old; None before the first state.
         rate: States per second; None if unknown.
         usual: States per second that the controller sends; None if unknown.
@@ -214,7 +216,7 @@ def status_of(
             return StreamStatus.SILENT
         is_slow = rate is not None and usual is not None and rate < ENOUGH * usual
         return StreamStatus.SLOW if is_slow else StreamStatus.CONNECTED
-    # A lost connection is still lost while reconnecting.
+    # While the stream is reconnecting, the status remains LOST.
     return StreamStatus.CONNECTING if reading is None else StreamStatus.LOST
 
 
@@ -226,7 +228,7 @@ class MonitorView:
         robot: Model and firmware.
         address: Address of the robot, and its interface.
         status: State of the stream, which shows whether the reading is current.
-        reading: Newest reading, or the last one before the connection was lost; None before the first one.
+        reading: Newest reading, or the last reading before the connection was lost; None before the first reading.
         stats: Statistics of the stream.
         rate: States per second; None in the first second.
         usual: States per second that the controller sends; None if unknown.
@@ -251,7 +253,7 @@ class MonitorView:
 
 
 def rate_text(view: MonitorView) -> str:
-    """Format the rate, with the usual rate if it is too low: "111.0 of 500 Hz"."""
+    """Format the rate. If the rate is too low, add the usual rate: "111.0 of 500 Hz"."""
     if view.rate is None:
         return "- Hz"
     of = f" of {view.usual:g}" if view.status is StreamStatus.SLOW else ""

@@ -1,4 +1,4 @@
-"""Options that several commands share, connecting with a progress display, and lines on stderr."""
+"""Functions that several commands use: options, connecting with a progress display, and printing to stderr."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ CONNECT_TIMEOUT = argument(
 
 
 def address(nargs: Literal["?"] | None = None) -> tuple[Row, Row]:
-    """Return the arguments for a robot's address, optional if `nargs` is "?", and for the connect timeout."""
+    """Return the arguments for the address of a robot and for the connect timeout.
+
+    The address is optional if `nargs` is "?".
+    """
     return argument("address", metavar="ADDRESS", nargs=nargs, help=_ADDRESS), CONNECT_TIMEOUT
 
 
@@ -36,7 +39,7 @@ def interface_of(choices: Sequence[str]) -> Row:
 
 
 def connected(args: argparse.Namespace, address: str | None = None, **how: Any) -> Robot:
-    """Connect to the address of a command, or to another one, as `linkcore.cli.options.connected` does."""
+    """Connect to `address`, or by default to the address in `args`; see `linkcore.cli.options.connected`."""
     return options.connected(partial(connect, timeout=args.connect_timeout, **how), args, address)
 
 
@@ -45,6 +48,6 @@ tell = partial(terminal.tell, "urlink")
 
 
 def agrees(question: str) -> bool:
-    """Whether the person at the terminal answers yes."""
+    """Ask a question on the terminal, and return whether the answer is yes."""
     print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
     return sys.stdin.readline().strip().lower() in ("y", "yes")

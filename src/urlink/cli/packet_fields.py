@@ -1,4 +1,4 @@
-"""Access to packet fields by their names on the command line, and their format as text and JSON."""
+"""Access to packet fields by their names on the command line, and conversion of their values to text and JSON."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ..protocol.realtime.packets import RealtimeState
 
 
 class NoSuchField(ValueError):
-    """Packets of this class do not have such a field."""
+    """Error: packets of this class do not have such a field."""
 
 
 def field_names(kind: type[State]) -> list[str]:
@@ -30,10 +30,12 @@ def field_names(kind: type[State]) -> list[str]:
 
 
 def getter(kind: type[State], path: str) -> Callable[[Any], Any]:
-    """Return a function that gets the field `path` from a packet; it returns None if the packet does not have it.
+    """Return a function that reads the field `path` of a packet.
+
+    The function returns None if the packet does not contain the field.
 
     Raises:
-        NoSuchField: If there is no such field; the message lists the existing fields.
+        NoSuchField: If there is no such field. The message lists the existing fields.
     """
     names = field_names(kind)
     parts = {name.partition(".")[0] for name in names if "." in name}
@@ -58,7 +60,10 @@ def _complaint(kind: type[State], path: str, names: list[str]) -> str:
 
 
 def as_json(packet: State, getters: Mapping[str, Callable[[Any], Any]] | None = None) -> dict[str, Any]:
-    """Convert a packet to a JSON object: type, time of arrival (seconds since 1970), and all fields or `getters`."""
+    """Convert a packet to a JSON object: type, time of arrival (seconds since 1970), and fields.
+
+    The object contains the fields of `getters`, or all fields if `getters` is None.
+    """
     received = packet.received
     head = {"type": type(packet).__name__, "received": None if received is None else received.wall}
     if getters:
@@ -76,7 +81,7 @@ def _content(packet: State) -> dict[str, Any]:
         known = [part for part in packet if not isinstance(part, UnknownSubPackage)]
         content: dict[str, Any] = {snake_case(type(part).__name__): _content(part) for part in known}
         unknown = [_content(part) for part in packet if isinstance(part, UnknownSubPackage)]
-        # There can be several of them, so their name cannot be the key.
+        # There can be several unknown sub-packages, so their class name cannot be the key.
         return content | {"unknown_sub_packages": unknown} if unknown else content
     content = packet.to_dict()
     if isinstance(packet, (UnknownSubPackage, OtherPackage)):

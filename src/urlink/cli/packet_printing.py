@@ -90,9 +90,9 @@ def print_packets(
     """Print the packets of one class on one interface.
 
     Raises:
-        RemoteError: If the stream could not be opened, gave up, or was silent for longer than `--timeout`.
+        RemoteError: If the stream could not be opened, gave up reconnecting, or was silent for longer than `--timeout`.
     """
-    # On a terminal, this is shown only until the first packet is printed.
+    # On a terminal, the progress bar is shown only until the first packet is printed.
     with (
         ProgressBar(f"waiting for {kind.__name__}", args.quiet) as progress,
         Tap(getattr(robot, interface), kind) as tap,

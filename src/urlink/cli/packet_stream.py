@@ -1,4 +1,4 @@
-"""`Tap`: receives every packet of a stream for a command; also the counters of the stream as text."""
+"""`Tap`, which receives every packet of a stream for a command, and the counters of a stream as text."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from linkcore.wire.cycles import Missing
 
 from .options import tell
 
-#: Maximum number of queued packets: half a minute of the fastest interface.
+#: Maximum number of queued packets, enough for half a minute of the fastest interface.
 _ROOM = 16384
 
 
@@ -30,7 +30,7 @@ class Tap:
     def __init__(self, stream: Stream[Any], kind: type) -> None:
         self._stream = stream
         self._kind = kind
-        # A packet that is not read in time is dropped, so the queue is long. A recording waits instead.
+        # A packet that is not read in time is dropped, so the queue is long. The playback of a recording waits instead.
         self._queue = stream._connection.open_queue(kind, stream._policy(None, drop_oldest(_ROOM)))
         self._connection = stream.subscribe(_tell_connection, ConnectionEvent)
 
@@ -38,7 +38,7 @@ class Tap:
         """Return the next packets: empty if none arrives within `timeout` seconds, None if the stream has ended.
 
         Raises:
-            RemoteError: If the stream gave up.
+            RemoteError: If the stream gave up reconnecting.
         """
         packet = self._queue.next(timeout)
         if packet is not None:
@@ -54,7 +54,7 @@ class Tap:
 
         Raises:
             LinkTimeout: If no packet arrives for `silence` seconds.
-            RemoteError: If the stream gave up.
+            RemoteError: If the stream gave up reconnecting.
         """
         until = math.inf if duration is None else clock.now() + duration
         while (left := until - clock.now()) > 0.0:
@@ -96,7 +96,10 @@ def _tell_connection(event: ConnectionEvent) -> None:
 
 
 def counted(stats: StreamStatistics) -> str:
-    """Format the counters of a stream; "-" if its packets have no clock, so that missed packets are unknown."""
+    """Format the counters of a stream.
+
+    If the packets contain no clock, missed packets and duplicates are unknown, and are shown as "-".
+    """
     missed, duplicates = ("-" if each is None else each for each in (stats.missed, stats.duplicates))
     return (
         f"received {stats.received} missed {missed} duplicates {duplicates} failed {stats.failed} "

@@ -1,4 +1,4 @@
-"""Measurement of the rate and jitter of a stream, one line per second, for `hz` and `rtde --hz`."""
+"""Measurement of the rate and jitter of a stream, printed once per second, for `hz` and `rtde --hz`."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def measure(
     *,
     quiet: bool = False,
 ) -> None:
-    """Print a line each second, for `duration` seconds or `count` lines, or until the stream ends.
+    """Print a line each second until the stream ends, or until `duration` seconds or `count` lines are reached.
 
     Raises:
-        RemoteError: If the stream could not be opened, gave up, or no state arrived.
+        RemoteError: If the stream could not be opened or gave up reconnecting, or if no state arrived.
     """
     periods: deque[float] = deque(maxlen=window)
     last: float | None = None

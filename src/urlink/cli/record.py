@@ -42,9 +42,9 @@ def run(args: argparse.Namespace) -> int:
 
     Every byte is kept, whether or not this library can decode it. If the connection is lost, this is recorded, and the
     command reconnects. Ctrl-C, SIGTERM, --duration and --count end the recording properly. After a crash, the file can
-    be read up to the crash. Play it with `urlink replay`, inspect it with `urlink dissect`, or use it as an address:
-    replay:///path/to/file. If the file name ends in .mcap, the file contains ROS 2 messages for Foxglove and ros2 bag,
-    and cannot be replayed (pip install 'urlink-robot[mcap]').
+    be read up to the crash. Play the file with `urlink replay`, inspect it with `urlink dissect`, or use it as an
+    address: replay:///path/to/file. If the file name ends in .mcap, the file contains ROS 2 messages for Foxglove and
+    ros2 bag, and cannot be replayed (pip install 'urlink-robot[mcap]').
 
     examples:
       urlink record 192.168.56.101 run.urlog

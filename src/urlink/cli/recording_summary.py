@@ -20,7 +20,7 @@ from ..protocol.rtde.protocol import RtdeProtocol
 from ..protocol.rtde.recipes import Outputs
 from ..rtde.outputs import recorded_plan
 
-#: Minimum length of a silence, in usual periods and in seconds; both must be exceeded.
+#: A gap is a silence that is longer than this number of usual periods, and also longer than this time in seconds.
 _GAP_PERIODS, _GAP_SECONDS = 5, 0.05
 
 
@@ -29,16 +29,17 @@ class ChannelSummary:
     """Summary of one interface in a recording.
 
     Attributes:
-        name: Name of the interface. address, firmware and model are those of the robot, as the recorder wrote them.
+        name: Name of the interface. The attributes `address`, `firmware` and `model` describe the robot, as the
+            recorder wrote them.
         bytes: Number of received bytes.
-        packets: Number of decoded packets, by class; `failed` is the number that could not be decoded.
-        skipped: Number of bytes that belong to no packet; `unfinished` is the number in packets that were cut off.
+        packets: Number of decoded packets, by class; `failed` is the number of packets that could not be decoded.
+        skipped: Number of bytes outside packets; `unfinished` is the number of bytes in packets that were cut off.
         connections: Number of connections during the recording; `lost` lists the errors that ended them.
         started: Wall time of the first bytes, in seconds since 1970; None if there are none.
         duration: Time from the first bytes to the last, in seconds.
-        gaps: Duration of each silence that was much longer than usual, in seconds, from the times of arrival.
+        gaps: Duration of each gap between times of arrival that was much longer than usual, in seconds.
         missing: Missing cycles according to the controller's clock, number of gaps, and the longest gap in s; None if
-            it has no clock.
+            the packets contain no clock.
     """
 
     name: str
@@ -64,8 +65,8 @@ class RecordingSummary:
 
     Attributes:
         path: Path of the file; `size` is its size in bytes.
-        is_complete: Whether the file was closed properly.
-        left_out: Number of bytes at its end that cannot be read.
+        is_complete: Whether the recorder closed the file properly.
+        left_out: Number of bytes at the end of the file that cannot be read.
         duration: Time from the first bytes to the last, over all channels, in seconds.
         channels: Summaries of the channels, in the order of recording.
     """
@@ -113,7 +114,7 @@ def _channel_lines(channel: ChannelSummary) -> list[str]:
     else:
         lines.append("  no silence")
     if channel.missing is not None:
-        states = max(channel.packets.values(), default=0)  # states outnumber messages
+        states = max(channel.packets.values(), default=0)  # there are more states than messages
         lines.append(f"  {channel.missing.text(states) if channel.missing.cycles else 'no cycle is missing'}")
     if channel.failed or channel.skipped or channel.unfinished:
         lines.append(
@@ -164,7 +165,7 @@ def summarise(recording: RecordingFile, progress: Progress) -> RecordingSummary:
 
 
 class _Reader:
-    """Counter of one channel."""
+    """Counters of one channel, while the recording is read."""
 
     def __init__(self, info: dict[str, Any]) -> None:
         said = {key: None if info.get(key) is None else str(info[key]) for key in ("address", "firmware", "model")}

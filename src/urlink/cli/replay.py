@@ -39,8 +39,8 @@ def run(args: argparse.Namespace) -> int:
     the file was closed properly. With --rate, packets are printed as in `urlink echo`, with the same options, at their
     recorded times divided by the rate. `--rate max` prints them immediately.
 
-    A recording is also an address: `urlink monitor replay:///tmp/run.urlog?rate=2` watches it. This works with every
-    other command that takes an address.
+    A recording can also be used as an address, with every command that takes one. For example,
+    `urlink monitor replay:///tmp/run.urlog?rate=2` shows the recording at twice the recorded speed.
 
     examples:
       urlink replay run.urlog
@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     show = shower(args, kind)
     with ProgressBar(f"reading {args.file}", args.quiet) as progress:
         recording = RecordingFile(args.file, progress)
-    number = recording.channel(interface)  # raises immediately, with the names of the recorded interfaces
+    number = recording.channel(interface)  # raises an error with the recorded names if `interface` is none of them
     address = f"replay://{quote(str(Path(args.file).absolute()))}?rate={args.rate or 'max'}"
     with connect(address) as robot, ProgressBar(f"playing {args.file}", args.quiet) as progress:
         if not args.quiet:
@@ -75,7 +75,7 @@ def _size(recording: RecordingFile, channel: int) -> int:
 def _drawing(
     show: Callable[[State], str], progress: ProgressBar, stream: Stream[Any], size: int
 ) -> Callable[[State], str]:
-    """Return a function that does the same as `show`, and also draws how much of `size` bytes has been played."""
+    """Return a function that calls `show`, and also draws the fraction of `size` bytes that has been played."""
 
     def show_and_draw(packet: State) -> str:
         progress(stream.stats.bytes / max(size, 1))

@@ -58,8 +58,8 @@ def run(args: argparse.Namespace) -> int:
     """Print variables of the controller over RTDE (port 30004), one line per data package.
 
     --list prints the variables that this controller has, with their types and units, and the inputs that another
-    client holds. A variable that the controller does not have is an error, unless --leave-out is given. --record also
-    writes the packages to a file. If the address is a recording, the variables need not be named.
+    client has claimed. A variable that the controller does not have is an error, unless --leave-out is given. --record
+    also writes the packages to a file. If the address is a recording, you do not have to name the variables.
 
     examples:
       urlink rtde 192.168.56.101 actual_q actual_TCP_pose --frequency 125
@@ -88,8 +88,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _print(stream: OutputStream[Any], args: argparse.Namespace) -> None:
     names = args.names or list(stream.names)
-    # On a terminal, this is shown only until the first package is printed. `Tap` connects; a recording starts when
-    # there is a subscriber.
+    # On a terminal, the progress bar is shown only until the first package is printed. `Tap` connects and subscribes; a
+    # recording starts to play at this subscription.
     with ProgressBar("waiting for RTDE", args.quiet) as progress, Tap(stream, Outputs) as tap:
         if stream.left_out:
             tell(f"this controller does not have {', '.join(stream.left_out)}")

@@ -31,8 +31,8 @@ def run(args: argparse.Namespace) -> int:
     """Send a URScript program, print the lines of its textmsg, and end when the program ends. THE ARM MOVES if the
     program moves it.
 
-    The program is a whole def, a sec, or bare statements, from a file or, with -, from stdin. Errors of the controller
-    contain the line and the column in that file. Ctrl-C stops the program.
+    FILE contains a complete def, a complete sec, or only statements. With -, the program is read from stdin. Errors of
+    the controller contain the line and the column in this program. Ctrl-C stops the program.
 
     examples:
       urlink run 192.168.56.101 pick.script

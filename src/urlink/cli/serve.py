@@ -22,7 +22,7 @@ from .options import CONNECT_TIMEOUT, connected, tell
 #: Group of entry points for the adapters of installed distributions.
 GROUP = "urlink.serve"
 
-#: Distribution of each adapter of this project, and a summary of how it serves a robot.
+#: Distribution of each adapter of this project, and a short description of the adapter.
 _DISTRIBUTIONS = {
     "zenoh": ("urlink-zenoh", "a fleet over Zenoh: states as streams, commands as queries"),
     "rr": ("urlink-rr", "a Robot Raconteur robot service"),
@@ -32,18 +32,18 @@ _DISTRIBUTIONS = {
 }
 
 
-#: Pattern of a name that is valid in every middleware, for a topic, a key or a node.
+#: Pattern of NAME=ADDRESS, with a name that every middleware accepts for a topic, a key or a node.
 _NAME = re.compile(r"([A-Za-z][A-Za-z0-9_]*)=(.+)", re.DOTALL)
 
 
 class Adapter(Protocol):
-    """Interface of an entry point of the group `urlink.serve`: a module, or an object."""
+    """Interface that every entry point of the group `urlink.serve` must have: a module or another object."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declare the options of this adapter."""
 
     def serve(self, robots: Mapping[str, Robot], args: argparse.Namespace) -> contextlib.AbstractContextManager[object]:
-        """Serve the robots, by name, while the context lasts; it does not close them."""
+        """Serve the robots under their names while the context is open. Do not close the robots."""
 
 
 #: Options of every adapter: the robots, and the connection to them.
@@ -60,7 +60,7 @@ _OPTIONS = (
         "--require-enable",
         choices=get_args(Policy),
         default="never",
-        help="when motions must be enabled: on_startup, or always, which includes after each stop (default: never)",
+        help="when a person must enable motions: on_startup, or always (also after each stop; default: never)",
     ),
     argument(
         "--watchdog",
@@ -81,7 +81,7 @@ _OPTIONS = (
 )
 def run(args: argparse.Namespace) -> int:
     """Serve robots to a middleware. Each adapter is a separate package, so that this package needs no middleware.
-    Without KIND, all adapters are listed, with whether they are installed.
+    Without KIND, all adapters are listed. The list shows which of them are installed.
 
     Options after KIND are for the adapter and the connection: `urlink serve KIND --help` lists them. Motions that a
     client requests pass the same interlock as motions of a local program, and end when the client disconnects.
@@ -132,7 +132,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def named(texts: Iterable[str]) -> dict[str, str]:
-    """Return a dict of names and addresses. A bare address is named after its host, model or file.
+    """Return a dict of names and addresses. An address without a name is named after its host, model or file.
 
     Raises:
         BadAddress: If a text is not an address, or two robots have the same name.

@@ -13,10 +13,10 @@ from linkcore.cli.terminal import Interruption
 from ..session.address import Motion
 from .options import tell
 
-#: Joints of URSim when it starts, in rad, from the vendor's integration tests.
+#: Joint positions of URSim after its start, in rad, from the vendor's integration tests.
 _URSIM_POSTURE = (-1.6, -1.72, -2.2, -0.8, 1.6, 0.03)
 _URSIM_PROGRAM = "Default program"
-#: Programs of URSim as the vendor's tests start it. The name of the second one has no suffix on PolyScope X.
+#: Programs on URSim, as the vendor's tests start it. On PolyScope X, the name of the second program has no suffix.
 _URSIM_FILES = {
     _URSIM_PROGRAM: "def Default_program():\nend\n",
     **dict.fromkeys(
@@ -91,14 +91,15 @@ def _program(text: str) -> tuple[str, str]:
 def run(args: argparse.Namespace) -> int:
     """Run a simulated controller until Ctrl-C, SIGTERM or --duration, and print the address to connect to.
 
-    It serves the primary, secondary and real-time interfaces, their read-only variants, RTDE and the dashboard, each
-    to a hundred clients, in the wire format of the firmware. The arm stands still until a program is sent; with
-    --motion demo, it moves slowly around a home posture until then. With --ports standard, it uses the ports of a real
-    controller, which other programs expect. With --like ursim, it starts in the same state as URSim, the vendor's
-    simulator: in URSim's posture, with "Default program" loaded and wait_program.urp in /ursim/programs. It is not in
-    remote control, but still accepts commands, unless --local-control is given.
+    The controller serves the primary, secondary and real-time interfaces, their read-only variants, RTDE and the
+    dashboard, each to at most a hundred clients. Packets have the wire format of the firmware. The arm stands still
+    until a program is sent; with --motion demo, it moves slowly around a home posture until then. With --ports
+    standard, the controller uses the ports of a real controller, which other programs expect. With --like ursim, the
+    controller starts in the same state as URSim, the vendor's simulator: in URSim's posture, with "Default program"
+    loaded and wait_program.urp in /ursim/programs. The controller is then not in remote control, but still accepts
+    commands, unless --local-control is given.
 
-    Faults happen at their time, in seconds after the start, as NAME[=ARGUMENT]@SECONDS:
+    The format of a fault is NAME[=ARGUMENT]@SECONDS. The fault happens SECONDS after the start. The faults are:
 
     examples:
       urlink sim

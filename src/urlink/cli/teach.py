@@ -15,7 +15,7 @@ from ..robot import Robot
 from .options import ADDRESS, connected
 from .packet_fields import joints_text
 
-#: Maximum duration of playing, in seconds.
+#: Maximum time for playing the waypoints, in seconds.
 _LONGEST = 3600.0
 
 

@@ -2,10 +2,10 @@
 
 The decision whether to send is made in the robot's critical section (`urlink.command.section`). Within the same
 section, the bytes are passed to the kernel by a system call that does not block. Therefore nothing is sent after a stop
-was received. The kernel's buffer nearly always has room for the whole text. If it does not, because the controller does
-not read, the sender leaves the section, waits for room, and makes the decision again. If sending is refused by then,
-the connection is aborted. The controller then never receives the rest of that text, nor another text in the middle
-of it.
+was received. The kernel's buffer nearly always has room for the whole text. If the controller does not read, so that
+there is no room, the sender leaves the section, waits for room, and makes the decision again. If sending is refused by
+then, the connection is aborted. So the controller never receives the rest of that text, and never receives another text
+in the middle of it.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class CommandChannel:
         claim: Callable[[], object] = lambda: None,
         wait: bool = True,
     ) -> None:
-        """Send URScript that may move the arm.
+        """Send URScript that might move the arm.
 
         If possible within one second, abandoned commands that might still be executed are undone first.
 
@@ -92,7 +92,7 @@ class CommandChannel:
                 not enabled can still move if its program continued while no data arrived from the robot.
             replaces: Whether the text is a program that replaces the running one. It then also replaces the abandoned
                 commands that were not undone.
-            claim: Function that is called in the section each time it was decided that the text may be sent. If it
+            claim: Function that is called in the section after each decision that the text may be sent. If the function
                 raises, the text is not sent.
             wait: Whether to wait for missing safety data and for room in the buffer. With False, the text is sent
                 immediately or not at all.
@@ -161,14 +161,14 @@ class CommandChannel:
             if refusal is None:
                 send()
                 return
-        # This process may have been delayed, and may have to read states that arrived meanwhile.
+        # This process might have been delayed, and might have to read states that arrived meanwhile.
         self._monitor.await_news(moves=True)
         with self._section.lock:
             self._monitor.require(is_stop)
             send()
 
     def discard(self, seconds: float) -> None:
-        """Abort the connection if anything was sent in the last `seconds`, so that it does not arrive later.
+        """Abort the connection if a text was sent in the last `seconds`, so that this text does not arrive later.
 
         The stream reconnects afterwards. Text that has already arrived is not affected.
         """
@@ -203,11 +203,11 @@ class CommandChannel:
         )
 
     def _has_turn(self, text: _Text) -> bool:
-        """Whether no other text is half sent. The caller must hold the section's lock."""
+        """Whether no other text is partly sent. The caller must hold the section's lock."""
         if self._unfinished in (None, text):
             return True
         if self._unfinished.thread == threading.get_ident():
-            # A signal handler interrupted its own thread, which waits for room: the controller does not read.
+            # This signal handler has interrupted a thread that is waiting for room, so the controller does not read.
             self._give_up()
             raise ConnectionLost(
                 "the controller accepted only a part of the previous text, so the connection was aborted"
@@ -245,10 +245,10 @@ class _Text:
         self.rest = memoryview(data)
         self.size = len(data)
         self.thread = threading.get_ident()
-        #: Number of the connection that it is sent over.
+        #: Number of the connection over which the text is sent.
         self.number: int | None = None
 
     @property
     def is_begun(self) -> bool:
-        """Whether a part of it has been sent."""
+        """Whether a part of the text has been sent."""
         return len(self.rest) < self.size

@@ -1,8 +1,8 @@
 """Life cycle of the last abandoned program that might still run: whether a stop was sent, or must still be sent.
 
-An abandoned program is sent a stop. No stop can be sent while a safety stop is active. A stop must not be sent either
-while another program is being sent, because it might stop that program instead. In both cases the abandoned program is
-kept. It is sent a stop at the second state in which nothing prevents the stop.
+When a program is abandoned, urlink sends a stop. No stop can be sent while a safety stop is active. While another
+program is being sent, a stop must not be sent either, because it might stop that program instead. In both cases the
+abandoned program is kept, and the stop is sent at the second state in which nothing prevents it.
 
 `TRANSITIONS` describes the whole life cycle; docs/architecture.md shows it as a table. Messages of the controller and
 calls of users arrive in different threads, so each event can happen in each phase.
@@ -33,7 +33,7 @@ class GivenUpEvent(enum.Enum):
     KEEP = "keep"  # the stop cannot be sent now
     MISS = "miss"  # the stop was sent, but might not have stopped the program
     FREE = "free"  # a state has arrived, and nothing prevents the stop
-    HINDER = "hinder"  # a state has arrived, and something prevents the stop
+    HINDER = "hinder"  # a state has arrived, and the stop cannot or must not be sent
     END = "end"  # the program has ended or was replaced, or it is unknown which program runs
 
 

@@ -67,7 +67,7 @@ class _Source:
     def __init__(self) -> None:
         self.status: Status | None = None
         self.reported_at = float("-inf")
-        #: Reason why it reports nothing: its connection was lost, or the robot is silent.
+        #: Reason why this source reports nothing: its connection was lost, or the robot is silent.
         self.absence: str | None = None
 
 
@@ -78,9 +78,9 @@ class Interlock:
     if any of them reports a stop, or a robot mode other than running. It also closes if a connection is lost or the
     robot is silent, because the robot might have been stopped meanwhile.
 
-    An old state permits nothing, whatever made it old. If this process was delayed and still has to read states, new
-    motions are refused until these are read. Running motions continue, because only `fall_silent` reports that the
-    robot itself is silent.
+    An old state never permits a motion, even if only this process was delayed. If the process still has to read states,
+    new motions are refused until these states are read. Running motions continue, because only `fall_silent` reports
+    that the robot itself is silent.
 
     Args:
         policy: Enable policy: "never", "on_startup" or "always".
@@ -110,13 +110,13 @@ class Interlock:
         self._look()
 
     def report(self, source: str, status: Status, at: float) -> LinkError | None:
-        """Record the report of a source at time `at`. Return the error that ends all motions, if this closed it."""
+        """Record a source's report at time `at`. If it closes the interlock, return the error that ends all motions."""
         known = self._sources.setdefault(source, _Source())
         known.status, known.reported_at, known.absence = status.over(known.status), at, None
         return self._look()
 
     def amend(self, source: str, status: Status, at: float) -> LinkError | None:
-        """Record a part of a report; see `report`. Without effect before a complete report was received."""
+        """Record a part of a report; see `report`. It has no effect before a complete report was received."""
         known = self._sources.get(source)
         return None if known is None or known.status is None else self.report(source, status, at)
 
@@ -172,7 +172,7 @@ class Interlock:
     @property
     def cause(self) -> str | None:
         """Name of the active stop, or None."""
-        # Each status is read once: a signal handler may close the robot between two reads.
+        # Each status is read once: a signal handler might close the robot between two reads.
         statuses = [known.status for known in list(self._sources.values())]
         return next((cause for status in statuses if status and (cause := status.cause)), None)
 
@@ -206,7 +206,7 @@ class Interlock:
 
     @property
     def is_enabled(self) -> bool:
-        """Whether the policy does not require a call of `enable()` now."""
+        """Whether motions are enabled: the policy does not require a call of `enable()` now."""
         return self.policy == "never" or (self._was_enabled if self.policy == "on_startup" else self._is_enabled)
 
     def _stop(self) -> SafetyStop | None:
@@ -228,7 +228,7 @@ class Interlock:
         if not modes:
             return NotRunning("the robot has not reported its mode yet")
         for mode in modes:
-            # As numbers, a running CB3 and a CB2 without power are the same.
+            # A running CB3 and a CB2 without power report the same number.
             if mode != (RobotModeCB2.RUNNING if isinstance(mode, RobotModeCB2) else RobotMode.RUNNING):
                 return NotRunning(f"the robot is not running: its mode is {mode.name}")
         return None

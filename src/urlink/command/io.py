@@ -84,7 +84,7 @@ class IO(StrictAttributes):
         self._set_digital(CONFIGURABLE, number, on, confirm)
 
     def set_tool_digital_out(self, number: int, on: bool, *, confirm: float | None = 1.0) -> None:
-        """Switch tool output 0 or 1. It is not confirmed on CB2, where its place in the state is uncertain."""
+        """Switch tool output 0 or 1. On CB2, it is not confirmed, because its bit in the state is uncertain."""
         self._set_digital(TOOL, number, on, confirm)
 
     def set_analog_out(self, number: int, fraction: float, *, confirm: float | None = 1.0) -> None:
@@ -143,9 +143,9 @@ class IO(StrictAttributes):
             confirm: Timeout for the confirmation, in seconds; None does not wait.
 
         Raises:
-            BadValue: If the line cannot have a value. Nothing is sent.
+            BadValue: If the line does not support a value. Nothing is sent.
             LocalError: If the controller does not have such a line.
-            NotRunning, NotConfirmed: If it cannot be set; see the class.
+            NotRunning, NotConfirmed: If the line cannot be configured; see the class.
         """
         firmware = self._settings.firmware
         rx_idle_chars = check_number(rx_idle_chars, "rx_idle_chars", 1.0, 40.0)
@@ -159,7 +159,7 @@ class IO(StrictAttributes):
             line = (info.is_enabled, info.baud_rate, info.parity, info.stop_bits)
             return (*line, round(info.rx_idle_chars, 3), round(info.tx_idle_chars, 3))
 
-        # The robot reports them as 32-bit numbers.
+        # The robot reports the idle times as 32-bit numbers.
         rounded = tuple(round(value or 0, 3) for value in wanted)
         echo = Echo(ToolCommunicationInfo, shown, lambda values: values == rounded)
         self._settings.apply(commands.secondary(text), "the tool's serial line", echo, confirm)
@@ -222,7 +222,7 @@ class IO(StrictAttributes):
         return Analog(*_analog_out(self._masterboard(), number))
 
     def tool_analog_in(self, number: int) -> Analog:
-        """Analogue input 0 or 1 of the tool; the packets number them 2 and 3."""
+        """Analogue input 0 or 1 of the tool; in packets, these inputs have the numbers 2 and 3."""
         first = integer(number, 0, 1, "tool analogue input") == "0"
         tool = _newest(self._primary.of(ToolData))
         if first:
@@ -258,7 +258,7 @@ class IO(StrictAttributes):
             self._realtime.wait_until(lambda state: _bit(state.digital_input_bits, bit) == on, timeout)
         except LinkTimeout as error:
             wanted = "on" if on else "off"
-            raise LinkTimeout(f"{bank.name} digital input {number} is not {wanted}: {error}") from None
+            raise LinkTimeout(f"{bank.name} digital input {number} was not switched {wanted}: {error}") from None
 
     def _digital_out(self, bank: DigitalBank, number: int) -> bool:
         bit = bank.bit(self._settings.firmware, number, "output")

@@ -119,7 +119,7 @@ class ProgramTimer:
         return seconds, 0.5 * (before + self.rate) * seconds
 
     def beginning(self) -> float | None:
-        """Return the time on the trajectory, in s, for its beginning at the newest state; None if it must wait."""
+        """Return the time on the trajectory, in s, if it begins at the newest state; None if it must not begin yet."""
         return 0.0
 
     def after(self, t: float, scaled: float) -> float:
@@ -143,7 +143,7 @@ _RESTING = 1e-4
 
 
 class Pause:
-    """Compares where the arm comes to rest in a pause with where it is when the program resumes.
+    """Compares the position at which the arm comes to rest in a pause with its position when the program resumes.
 
     Args:
         what: Name of the motion, used in messages.
@@ -187,7 +187,7 @@ class Pause:
 
     def _check(self, here: Sequence[float]) -> None:
         if self._rest is None:
-            return  # it had not come to rest
+            return  # the arm had not come to rest
         moved = [abs(a - b) for a, b in zip(here, self._rest, strict=True)]
         joint = max(range(6), key=moved.__getitem__)
         if moved[joint] > self._tolerance:

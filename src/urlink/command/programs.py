@@ -77,7 +77,7 @@ class _Run:
         life: Life cycle behind the handle (`linkcore.handle`), with the time of each event. The error of its REPORT is
             None if the program ran to its end.
         is_motion: Whether the program ends when the interlock closes. A user's program that has begun ends only when
-            the controller reports it, because it may only be paused. A user's program that still has to ask for
+            the controller reports its end, because it might only be paused. A user's program that still has to ask for
             permission ends at a stop.
         moves_late: Whether the program can move the arm even if it begins after its life has ended, because it neither
             asks for permission nor connects back to this computer.
@@ -155,11 +155,11 @@ class Programs:
         self._mode: RobotModeData | None = None
         self._has_keys = False  # whether this controller sends key messages
         self._given_up = GivenUpProgram()
-        #: Time when the last program ended. States received before that may show values from before its end.
+        #: Time when the last program ended. States received before that might show values from before its end.
         self.ended = -math.inf
         self._is_closed = False
         monitor.on_close(self._interlock_closed)
-        # A text that was sent during the silence may not have arrived yet, and must not be executed later.
+        # A text that was sent during the silence might not have arrived yet, and must not be executed later.
         monitor.on_silence(lambda seconds: channel.discard(seconds + _BEFORE))
 
     # -- sending -----------------------------------------------------------------------------------
@@ -203,11 +203,11 @@ class Programs:
         is_stop: bool = False,
         is_linked: bool = False,
         is_detached: bool = False,
-        left_alone: str = "it may still move the arm",
+        left_alone: str = "it might still move the arm",
         on_text: Callable[[str], object] = lambda text: None,
         on_finish: Callable[[], object] | None = None,
     ) -> None:
-        """Send a program. It preempts the running program, unless it is a `sec`. See `_Run` for the other arguments.
+        """Send a program, which preempts the running one unless it is a `sec`. See `_Run` for the other arguments.
 
         Args:
             is_stop: Whether the program can only bring the arm to rest; see `CommandChannel.motion`.
@@ -251,15 +251,15 @@ class Programs:
             life.fail(error)
             raise
         except BaseException:
-            # The whole text, or a part of it, may have been sent.
+            # The whole text, or a part of it, might have been sent.
             life.fail(Cancelled(f"{life.name} was interrupted"), brake=True)
             raise
 
     def stop(self, life: Lifecycle) -> None:
-        """Stop the program of a life, unless a program was sent later, which stops it by beginning.
+        """Stop the program of a life. If a later program was sent, its beginning stops the program instead.
 
-        If that later program does not begin, because it does not compile or is abandoned too, the program is stopped
-        then.
+        If the later program does not begin, because it does not compile or is abandoned too, the stop is sent at that
+        moment.
 
         Raises:
             SafetyStop: If a stop is active, so the controller accepts no program. The program is stopped when the stop
@@ -361,7 +361,7 @@ class Programs:
         subscriptions: list[Subscription] = []
 
         def only_once(on_packet: Callable[[Any], None], packet: Any) -> None:
-            """Ignore packets of a second subscription, which a thread or a signal handler may add at the same time."""
+            """Ignore packets of a second subscription, which another thread or a signal handler might add."""
             if self._subscriptions.made is subscriptions:
                 on_packet(packet)
 
@@ -467,7 +467,7 @@ class Programs:
 
     def _on_mode(self, mode: RobotModeData) -> None:
         self._mode = mode
-        # After this time, a cleared flag means that the program ended before a state could show it running.
+        # After this time, a cleared flag means that the program ended before a state could show that it was running.
         lag = _KEY_LAG if self._has_keys else _FLAG_LAG
         for run in self._pending():
             begun = run.life.happened(Event.BEGIN)
@@ -480,7 +480,7 @@ class Programs:
         self._check_time()
 
     def _after_stop(self, mode: RobotModeData) -> None:
-        """Stop the abandoned program when the stop during which it was abandoned has ended; `play` would resume it.
+        """Stop a program that was abandoned during a safety stop when that stop has ended; `play` would resume it.
 
         This also repeats the stop for a program that continues in spite of it, because an e-Series in local control
         ignores what it is sent.
@@ -502,7 +502,7 @@ class Programs:
         if not self._may_stop_kept():
             return
         try:
-            self._send_stop(self._may_stop_kept, wait=False)  # this may be the reader thread
+            self._send_stop(self._may_stop_kept, wait=False)  # this might be the reader thread
             self._given_up.stop_sent = self._clock()
             # Without key messages, the end of the program is not reported.
             self._note(GivenUpEvent.DELIVER if self._has_keys else GivenUpEvent.END)
@@ -529,7 +529,7 @@ class Programs:
         if mode is None:
             situation = "the robot has not reported its mode either"
         else:
-            runs = "a program runs" if mode.is_program_running else "no program runs"
+            runs = "a program is running" if mode.is_program_running else "no program is running"
             situation = f"the robot mode is {mode.robot_mode.name}, {runs}"
         what, hint = "end", ""
         if not run.has_begun:
@@ -552,7 +552,7 @@ class Programs:
         run.life.begin(self._clock())
 
     def _replace(self, name: str, successor: _Run | None) -> None:
-        """Handle the beginning of a program: all programs sent before it have ended, reported or not."""
+        """Handle the beginning of a program: all earlier programs have ended, even if no end was reported."""
         if name != self._given_up.name:
             self._note(GivenUpEvent.END)
         for run in self._pending():
@@ -587,7 +587,7 @@ class Programs:
         elif (stop := self._monitor.refusal_to_stop()) is not None:
             run.life.fail(stop)
         else:
-            # The report of the stop may follow later.
+            # The report of the stop might follow later.
             run.life.fire(Event.STOP, at=self._clock())
 
     def _interlock_closed(self, error: LinkError) -> None:

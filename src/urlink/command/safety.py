@@ -42,7 +42,7 @@ class Safety(StrictAttributes):
 
     @property
     def refusal(self) -> LinkError | None:
-        """Error that a motion would be refused with now; None if it would be permitted."""
+        """Error with which a motion would be refused now; None if it would be permitted."""
         self._monitor.listen()
         return self._monitor.refusal_to_begin()
 
@@ -72,7 +72,7 @@ class Safety(StrictAttributes):
                 self._monitor.overtake(f"the policy was set to {policy!r}")
 
     def enable(self) -> None:
-        """Permit motions, if the policy requires this call. Without effect if they are already permitted.
+        """Permit motions, if the policy requires this call. It has no effect if motions are already permitted.
 
         Raises:
             SafetyStop: If a stop is still active.
@@ -112,7 +112,7 @@ class Safety(StrictAttributes):
         """
         timeout = check_number(timeout, "timeout", 0.0)
         self._monitor.listen()
-        seen: list[LinkError] = []  # because the stop may have ended before this thread checks again
+        seen: list[LinkError] = []  # because the stop might have ended before this thread checks again
 
         def is_stopped(interlock: Interlock) -> bool:
             stop = interlock.blocked(self._monitor.clock())
@@ -127,7 +127,7 @@ class Safety(StrictAttributes):
         """Call a function when a stop arrives, with the error that ends the motions.
 
         The error is a `SafetyStop`, or `NotRunning` if the robot is no longer running or no data arrives from it. The
-        function is called in the robot's thread for callbacks, and may command the robot and wait. It is not needed to
+        function is called in the robot's thread for callbacks, and may command the robot and wait. It does not have to
         stop the arm, which has already stopped by then.
 
         Returns:

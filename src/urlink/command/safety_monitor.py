@@ -47,7 +47,11 @@ class _Listening:
     def end(self) -> None:
         self.is_over = True
         while self._ends:
-            self._ends.pop()()
+            try:
+                end = self._ends.pop()
+            except IndexError:  # another thread has taken the last one
+                break
+            end()
 
 
 class SafetyMonitor:
@@ -165,14 +169,14 @@ class SafetyMonitor:
         if self._section.may_wait:
             self.wait_for(lambda interlock: interlock.has_reported(name), _FIRST_REPORT)
         with self.decision() as interlock:
-            # Only now: an interface that sends no first state must not close an open interlock.
+            # Not before the first state: an interface that sends no first state must not close an open interlock.
             interlock.expect(name)
 
     def await_news(self, moves: bool) -> None:
-        """If motions are refused, wait for the next report of every source, because the last one may be outdated.
+        """If motions are refused, wait for the next report of every source, because the last one might be outdated.
 
-        A program that has just switched the arm on, and has received the dashboard's reply, then need not wait itself.
-        A program that was delayed first reads the states that arrived meanwhile.
+        So a caller that has just switched the arm on, and has received the dashboard's reply, does not have to wait. A
+        caller that was delayed first reads the states that arrived meanwhile.
         """
         began = self.clock()
 
@@ -214,8 +218,8 @@ class SafetyMonitor:
 
     @property
     def is_connected(self) -> bool:
-        """Whether all subscribed interfaces are connected. The interlock may be notified of a loss slightly later."""
-        names = tuple(self._listening)
+        """Whether all subscribed interfaces are connected. The interlock might be notified of a loss slightly later."""
+        names = list(self._listening)
         return all(self._connections[name].state is ConnectionState.CONNECTED for name in names)
 
     # -- notifications -------------------------------------------------------------------------------
@@ -246,7 +250,7 @@ class SafetyMonitor:
         kind: type = State if name == "primary" else RealtimeState
         listening = _Listening()
         try:
-            # The reader reports silence, not a clock, because this process may have been delayed itself.
+            # The reader reports silence, not a clock, because this process might have been delayed itself.
             seconds = min(self._interlock.stale_after, connection.silence.limit or math.inf)
             listening.add(connection.silence.watch(seconds, partial(self._fall_silent, name)))
             on_event = partial(self._on_event, name, listening)
@@ -312,7 +316,7 @@ class SafetyMonitor:
                 self.overtake(str(closed))
             for hook in tuple(self._hooks):
                 hook(closed)
-            for callback in tuple(self._stop_callbacks.values()):
+            for callback in list(self._stop_callbacks.values()):
                 self._callbacks.call(callback, closed)
         self._wake()
 
@@ -327,7 +331,7 @@ class SafetyMonitor:
         self.is_closed = True
         self.overtake("the robot was closed")
         self._stop_callbacks.clear()
-        for name, listening in tuple(self._listening.items()):
+        for name, listening in list(self._listening.items()):
             listening.end()
             self._observe(lambda name=name: self._interlock.lose(name, "closed here"))  # type: ignore[misc]
         self._hooks.clear()  # they belong to parts that refer to this object

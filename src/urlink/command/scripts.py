@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from linkcore.errors import BadValue
 from linkcore.handle import Handle, Lifecycle, waited
 from linkcore.names import StrictAttributes
 from linkcore.pending_call import starts_motion
-from linkcore.threads import CallbackThread
+from linkcore.threads import CallbackThread, Newest
 
 from .channel import CommandChannel
 from .programs import Programs
@@ -29,23 +28,24 @@ class Program(Handle):
 
     def __init__(self, life: Lifecycle) -> None:
         super().__init__(life)
-        self._texts: deque[str] = deque(maxlen=_TEXTS)
+        # The reader of the primary interface adds lines, and other threads copy the list in one step.
+        self._texts: Newest[str] = Newest(_TEXTS)
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """Lines of the program's `textmsg` calls, the last thousand.
+        """The last thousand lines of the program's `textmsg` calls.
 
         A controller does not report which program sent a line, so the lines of a `sec` that runs at the same time are
         included.
         """
-        return tuple(self._texts.copy())  # in a single step: another thread may be adding lines
+        return tuple(self._texts.copy())
 
     def _receiver(self, callbacks: CallbackThread, on_text: Callable[[str], object] | None) -> Callable[[str], object]:
         """Return the function that receives these lines. It refers only to the lines, not to the program."""
         texts = self._texts
 
         def receive(text: str) -> None:
-            texts.append(text)
+            texts.add(text)
             if on_text is not None:
                 callbacks.call(on_text, text)
 
@@ -69,7 +69,7 @@ class Scripts(StrictAttributes):
         detached: bool = False,
         on_text: Callable[[str], object] | None = None,
     ) -> Program:
-        """Send a program. It preempts the running program, unless it is a `sec`, which runs in addition to it.
+        """Send a program, which preempts the running program. A `sec` runs in addition to the running program instead.
 
         Args:
             source: URScript text, or the path of a file with it as a `pathlib.Path`. The text is a whole ``def``, a
@@ -90,7 +90,7 @@ class Scripts(StrictAttributes):
         Raises:
             BadValue: If `source` cannot be a program, or the file cannot be read. Nothing is sent.
             SafetyStop, NotRunning: If the arm may not be moved now. Nothing is sent.
-            LinkError: If the program could not be sent; with `wait`, also if it ended with an error.
+            LinkError: If the program could not be sent, or with `wait`, if it ended with an error.
         """
         seconds = check_wait(wait)
         if on_text is not None:
@@ -100,7 +100,7 @@ class Scripts(StrictAttributes):
         program = Program(life)
         receive = program._receiver(self._callbacks, on_text)
         self._programs.start(
-            wrapped, life, is_motion=False, is_detached=detached, left_alone="it may still run", on_text=receive
+            wrapped, life, is_motion=False, is_detached=detached, left_alone="it might still run", on_text=receive
         )
         return waited(program, seconds)
 
@@ -109,8 +109,8 @@ class Scripts(StrictAttributes):
         """Send one line unchanged, such as ``set speed 0.5``. Its effect is not reported.
 
         The line is sent through the interlock, like a program, because it might move the arm. It has no start
-        permission and no reply. If the controller hangs, this method returns, and the line **may still be carried out**
-        when the controller continues.
+        permission and no reply. If the controller hangs, this method returns, and the line **might still be executed**
+        when the controller resumes.
 
         Raises:
             BadValue: If `line` is not one line.
@@ -118,7 +118,7 @@ class Scripts(StrictAttributes):
             RemoteError: If the line could not be sent.
         """
         if not isinstance(line, str) or not line.strip():
-            raise BadValue(f"{line!r} is not a line of URScript")
+            raise BadValue(f"{line!r} is not a line of URScript; expected a string that is not blank")
         if not all(character == "\t" or character.isprintable() for character in line):
             raise BadValue(f"{line!r} contains a line break or a control character; expected one line")
         self._channel.motion(line)

@@ -6,7 +6,7 @@ threads must be able to enter too. Otherwise the event that it waits for could n
 releases the lock during the wait.
 
 No other code of this package waits inside the section, so only a signal handler can release the lock there. The
-decision of the interrupted main thread may be outdated when it continues. It then sends at most one unwanted text or
+decision of the interrupted main thread might be outdated when it continues. It then sends at most one unwanted text or
 set-point. Both are harmless: a text asks for permission before it moves the arm (`urlink.script.wrapping`), and the
 program that reads set-points has already been stopped by the handler.
 """
@@ -34,8 +34,8 @@ class Section:
 
     def __init__(self, *reads_here: Callable[[], bool]) -> None:
         self.lock = threading.RLock()
-        # Streams of the robot enter the section for each state. A child process that is forked meanwhile gets an error
-        # for each command, but only if it can enter too.
+        # Streams of the robot enter the section for each state. A child process that is forked meanwhile must be able
+        # to enter too; otherwise its commands would wait forever instead of raising an error.
         free_in_child(self.lock)
         self._reads_here = reads_here
 

@@ -2,9 +2,9 @@
 
 Settings are sent as RTDE inputs if these are available, and otherwise as URScript text. An RTDE input takes effect in
 the next cycle of the controller, without a program that must be compiled and run. But it belongs to one client at a
-time, the controller may be too old for it, or its port may be closed. Text can always be sent. Therefore RTDE is tried
-for the first setting of each kind on each connection to the robot. If it is refused, text is sent from then on, until
-the robot has reconnected.
+time, the controller might be too old for it, or its port might be closed. Text can always be sent. Therefore RTDE is
+tried for the first setting of each kind on each connection to the robot. If it is refused, text is sent from then on,
+until the robot has reconnected.
 
 An e-Series controller in local control ignores network commands without reporting an error. Therefore each setting that
 the robot shows in its own states is confirmed there. According to the public packet layouts, the real-time state shows
@@ -57,14 +57,14 @@ T = TypeVar("T")
 _PAYLOAD_MARGIN = 1.25
 #: Tolerance, in m, rad or kg, between the reported and the sent value; texts carry ten digits.
 _EXACT = 1e-6
-#: The same for the slider, whose position on the pendant is a whole percentage.
+#: Tolerance of the slider, whose position on the pendant is a whole percentage.
 _SLIDER = 0.005
 #: First firmware that shows the payload, the tool offset, and the slider.
 _SHOWS_PAYLOAD, _SHOWS_TCP, _SHOWS_SLIDER = Firmware(5, 10), Firmware(3, 2), Firmware(3, 0)
 #: Function that returns the RTDE inputs of a setting, masks included; None if only text is possible. It is called when
 #: the robot is known to be running.
 Values = Callable[[], Mapping[str, Any] | None]
-#: Time, in seconds, in which a sent text may not have been executed yet, so that an RTDE package would overtake it.
+#: Time, in seconds, in which a sent text might not have been executed yet, so that an RTDE package would overtake it.
 _SETTLED = 0.5
 
 
@@ -126,7 +126,7 @@ class SettingChannel:
             self._channel.check_running()
             write = self._writer(self._inputs, values, wait)
             if write is not None:
-                # RTDE may have just been released or disconnected; the next setting claims it again.
+                # RTDE might have just been released or disconnected; the next setting claims it again.
                 with contextlib.suppress(ConnectionLost, Closed):
                     self._channel.beside(write)
                     return
@@ -134,7 +134,7 @@ class SettingChannel:
         self._channel.command(text)
 
     def doubt(self) -> None:
-        """Handle a setting that is not shown: discard unsent RTDE values, and send later settings as text."""
+        """Handle a setting that is not shown: discard unsent RTDE values; send later settings as text."""
         if self._inputs is not None and not self._is_refused(()):
             self._refuse(())
             with contextlib.suppress(LinkError):
@@ -260,7 +260,7 @@ class Settings:
         offset = check_pose(pose, "tcp", TOOL_LENGTH)
         text = commands.secondary(commands.tcp(offset.tolist()))
         wanted = to_matrix(offset)
-        # Compare matrices: the same rotation has several rotation vectors, and one may turn by more than 180 degrees.
+        # Compare matrices: the same rotation has several rotation vectors, and one might turn by more than 180 degrees.
         echo = Echo(CartesianInfo, tool_offset, lambda values: _close(to_matrix(values), wanted))
         self.apply(text, "the tool centre point", echo if self.firmware >= _SHOWS_TCP else None, confirm)
 
@@ -351,7 +351,7 @@ class Settings:
         elif is_remote is None and self.firmware.is_e_series:
             why = "an e-Series in local control ignores network commands; check the mode on the pendant"
         else:
-            why = "the controller may have been delayed, or its installation or another program sets it too"
+            why = "the controller might have been delayed, or its installation or another program sets it too"
         state = "no value" if shown is None else f"{shown}"
         return NotConfirmed(
             f"{what} was sent, but the robot did not show it within {timeout:g} s: its states show {state}; {why}"

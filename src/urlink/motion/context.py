@@ -23,14 +23,15 @@ class MotionContext:
 
     Attributes:
         programs: Sender of programs.
-        channel: Channel for everything that moves the arm, through the interlock.
+        channel: Channel for all commands that move the arm. It sends them only if the interlock permits this.
         realtime: Stream with the joint positions and the controller's clock.
         who: Identity of the controller.
-        reverse: Port for the connections of its programs.
-        registers: Claims of the input registers that are used if programs do not connect.
-        point_registers: Claims of the registers for a program that buffers points, which answers in output registers.
-        section: Lock of the robot, which is left while a thread waits.
-        clock: Function that returns monotonic seconds.
+        reverse: Port to which programs on the robot connect.
+        registers: Claimed input registers, which replace the connection if programs do not connect.
+        point_registers: Claimed input registers for a program that buffers points. This program answers in output
+            registers.
+        section: Lock of the robot. A thread releases this lock while it waits.
+        clock: Function that returns monotonic time, in s.
     """
 
     programs: Programs
@@ -44,13 +45,14 @@ class MotionContext:
     clock: Callable[[], float] = clock.now
 
     def state(self) -> RealtimeState:
-        """Return the newest state that has arrived since the last program ended; if there is none, the next one.
+        """Return the newest state that has arrived since the last program ended; wait for one if there is none.
 
-        Both interfaces report independently of each other. When the end of a motion is reported, the newest state may
-        be as old as `stale_after`. It may show the arm at rest at the position where this motion began.
+        One interface reports the end of a program, another interface sends the states. So when the end of a motion is
+        reported, the newest state may be as old as `stale_after`. Such a state may show the arm at the position where
+        the motion began.
 
         Raises:
-            LocalError: If there is none yet, and this is the thread that receives states.
+            LocalError: If there is no such state yet, and the caller is the thread that receives states.
             LinkTimeout, RemoteError: If no state arrives.
         """
         newest, ended = self.realtime.latest, self.programs.ended
@@ -62,5 +64,5 @@ class MotionContext:
             return newest
         with self.section.waiting():
             first = self.realtime.wait_until(is_newer)
-        # If states were delayed and arrived together, the first of them may be from before the end.
+        # If states were delayed and arrived together, the first of them may be older than the end of the program.
         return self.realtime.latest or first

@@ -1,4 +1,4 @@
-"""The parts that command one robot, connected to each other: the interlock, the command channel, and the senders."""
+"""Construction of the parts that command one robot: the interlock, the command channel, and the senders."""
 
 from __future__ import annotations
 
@@ -42,27 +42,29 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-#: Time in s for the dashboard to report whether the robot is in remote control, if a setting was not confirmed.
+#: Longest time in s to wait for the dashboard's reply whether the robot is in remote control. urlink asks this if a
+#: setting was not confirmed.
 _ASK_TIMEOUT = 0.5
-#: First firmware of the e-Series and of PolyScope X that can report this.
+#: First firmware of the e-Series and of PolyScope X that can report remote control.
 _TELLS_CONTROL = Since("5.6/10.12")
 
 
 class Control:
-    """Commanding side of a robot. No connection is made before it is used.
+    """All parts of a robot object that send commands. Each connection is opened at its first use.
 
     Args:
-        options: Options of the user. Their timeout also applies to the connection of the dashboard.
-        place: Address of the controller, with the ports that it serves.
-        peers: Keys of the controller and of each of its services. With them, this process recognizes the controller
-            after the robot was closed. Empty for a controller that ends with the robot.
-        primary, realtime: Streams of the robot. The callbacks of the reader threads refer to the connections rather
-            than to the streams, so that a robot without references can be garbage-collected.
+        options: Options of the user. The timeout in these options also applies to the dashboard connection.
+        place: Address of the controller, and the ports that the controller serves.
+        peers: Keys that identify the controller and each of its services. With these keys, this process recognizes the
+            controller again after the robot object was closed. Empty for a simulated controller that ends with the
+            robot object.
+        primary, realtime: Streams of the robot. The callbacks of the reader threads refer to the connections instead of
+            the streams. Therefore a robot object without other references can be garbage-collected.
         who: Identity of the controller.
-        rtde: Function that returns the robot's RTDE.
+        rtde: Function that returns the RTDE object of the robot.
 
     Attributes:
-        safety, script, interpreters, io, motion, settings: Parts that users hold.
+        safety, script, interpreters, io, motion, settings: Parts that users can access.
     """
 
     def __init__(
@@ -83,7 +85,7 @@ class Control:
         self._gripper: MadeOnce[Gripper] = MadeOnce()
         self._serial: MadeOnce[ToolSerial] = MadeOnce()
         self._callbacks = callbacks = CallbackThread(f"{options.name} callbacks")
-        # The connections of the streams, which users do not hold.
+        # Use the connections of the streams. Users have no references to the connections.
         slow, fast = primary._connection, realtime._connection
         section = Section(slow.reads_here, fast.reads_here)
         interlock = Interlock(options.require_enable, options.stale_after)
@@ -110,7 +112,7 @@ class Control:
             )
 
         def is_remote() -> bool | None:
-            """Ask on a separate connection whether the robot is in remote control; return None if unknown."""
+            """Ask over a separate connection whether the robot is in remote control; return None if unknown."""
             firmware = who.identity.firmware
             port = "robot_api" if firmware.is_polyscope_x else "dashboard"
             if port not in ports or firmware not in _TELLS_CONTROL:
@@ -139,8 +141,8 @@ class Control:
         """Dashboard server, or the Robot API of PolyScope X.
 
         Raises:
-            LocalError: If a simulated controller serves neither.
-            Closed: If the robot was closed before it was used.
+            LocalError: If a simulated controller serves neither of them.
+            Closed: If the robot was closed before the first use.
         """
         if not self._ports.keys() & {"dashboard", "robot_api"}:
             raise LocalError("the controller does not serve a dashboard")
@@ -151,8 +153,8 @@ class Control:
         """Gripper on the flange.
 
         Raises:
-            LocalError: If a simulated controller does not serve its port.
-            Closed: If the robot was closed before it was used.
+            LocalError: If a simulated controller does not serve the port of a gripper.
+            Closed: If the robot was closed before the first use.
         """
         if "gripper" not in self._ports:
             raise LocalError("the controller does not serve a gripper")
@@ -166,8 +168,8 @@ class Control:
         """Serial line in the tool connector.
 
         Raises:
-            LocalError: If the controller has none, or if a simulated controller does not serve its port.
-            Closed: If the robot was closed before it was used.
+            LocalError: If the controller has no such serial line, or if a simulated controller does not serve the port.
+            Closed: If the robot was closed before the first use.
         """
         if self._serial.made is None:
             firmware = self.settings.firmware
@@ -179,10 +181,10 @@ class Control:
         return self._once(self._serial, make)
 
     def _once(self, part: MadeOnce[T], make: Callable[[], T]) -> T:
-        """Return a part, and make it at its first use.
+        """Return a part of the robot, and create this part at its first use.
 
         Raises:
-            Closed: If the robot was closed before.
+            Closed: If the robot was closed before the first use.
         """
         known = part.made
         if known is not None:
@@ -196,7 +198,7 @@ class Control:
         self._undos.settle(timeout)
 
     def close(self, timeout: float) -> None:
-        """End motions, programs, callbacks and the connections of dashboard and gripper, within `timeout` seconds."""
+        """End motions, programs and callbacks within `timeout` seconds, and close all connections for commands."""
         until = clock.now() + timeout
         self._is_closed = True
         self._undos.close(self)

@@ -42,35 +42,36 @@ from .servo.waypoints import WaypointServer
 from .slider import SliderEffect, slider
 from .stream.point_stream import PointStream
 
-#: Lower limit for numbers that must be positive, and an hour in s: a longer duration is probably an error.
+#: Smallest accepted value of numbers that must be positive. Longest accepted duration, one hour in s: a longer duration
+#: is probably a mistake.
 _LEAST, _HOUR = 1e-3, 3600.0
 #: Largest rate of targets for a filter, in Hz.
 _MOST_TARGETS = 10_000.0
-#: First release with a time for speedl, and first release that detects contacts. Before the latter, this force in N
-#: counts as a contact.
+#: First firmware with a time argument for speedl, first firmware that detects contacts, and force in N that counts as a
+#: contact on older firmware.
 _TIMED_SPEED, _TOOL_CONTACT, _CONTACT_FORCE = Firmware(3, 3), Firmware(5, 4), 20.0
-#: State of a motion after its connection was lost, for messages.
-_MAY_GO_ON = "the arm may still move until the motion ends"
+#: Part of an error message: state of a motion after the connection was lost.
+_MAY_GO_ON = "the arm might still move until the motion ends"
 
-#: Filters between the targets and the set-points of a servo.
+#: Names of filters that convert targets to set-points of a servo.
 TargetFilterName = Literal["jerk_limited"]
-#: Links for sending set-points to the robot.
+#: Names of links over which set-points are sent to the robot.
 LinkName = Literal["reverse", "rtde"]
 
 
-# The slider effects of motions that are one short program are listed here, because these motions have no class.
+# Motions that consist of one short program have no class, so their slider effects are declared here.
 @slider(move_joints=SliderEffect.SCALED)
 class Motions(StrictAttributes):
-    """Methods that move the arm. Each one starts a motion and returns its handle.
+    """Methods that move the arm. Each method returns the handle of a motion.
 
     By default, the methods do not wait for the arm. With ``wait=True``, a method returns when the motion has finished,
-    or raises the error that ended it. It waits up to 60 s, or up to the number of seconds that you pass as `wait`.
-    After this time it raises `LinkTimeout`, and the motion continues. Ctrl-C during the wait cancels the motion, as in
-    `Handle.wait`.
+    or raises the error that ended the motion. The method waits up to 60 s, or up to the number of seconds that you pass
+    as `wait`. After this time, the method raises `LinkTimeout`, and the motion continues. Ctrl-C during the wait
+    cancels the motion, as in `Handle.wait`.
 
-    Starting a motion preempts the current one, whose `wait` then raises `Cancelled`. All methods raise `BadValue` for
-    arguments that are invalid or exceed the limits of the arm. They raise `SafetyStop`, `NotEnabled` or `NotRunning` if
-    the arm may not be moved now. In all these cases, nothing is sent.
+    Starting a motion preempts the current motion. The `wait` of the preempted motion then raises `Cancelled`. All
+    methods raise `BadValue` for arguments that are invalid or exceed the limits of the arm. They raise `SafetyStop`,
+    `NotEnabled` or `NotRunning` if the arm may not be moved now. In all these cases, nothing is sent.
     """
 
     def __init__(self, context: MotionContext) -> None:
@@ -78,7 +79,7 @@ class Motions(StrictAttributes):
 
     @property
     def current(self) -> Motion | None:
-        """Motion that was started last, while it runs; None if no motion runs."""
+        """Motion that is running now; None if no motion is running."""
         life = self._context.programs.current
         handle = None if life is None else life.handle
         return handle if isinstance(handle, Motion) else None
@@ -101,7 +102,7 @@ class Motions(StrictAttributes):
             q: Joint positions, shape (6,), in rad.
             speed: Speed of the joint that moves furthest, in rad/s.
             acceleration: Acceleration of the joint that moves furthest, in rad/s².
-            time: Duration in seconds. Cannot be combined with `speed` or `acceleration`.
+            time: Duration in seconds. It cannot be combined with `speed` or `acceleration`.
             wait: See `Motions`.
         """
         seconds = check_wait(wait)
@@ -131,7 +132,7 @@ class Motions(StrictAttributes):
             pose: Position in m and rotation vector in rad, shape (6,).
             speed: Speed of the tool, in m/s.
             acceleration: Acceleration of the tool, in m/s².
-            time: Duration in seconds. Cannot be combined with `speed` or `acceleration`.
+            time: Duration in seconds. It cannot be combined with `speed` or `acceleration`.
             wait: See `Motions`.
         """
         seconds = check_wait(wait)
@@ -148,10 +149,11 @@ class Motions(StrictAttributes):
     def move_circular(
         self, via: Numbers, to: Numbers, speed: float = 0.25, acceleration: float = 1.2, *, wait: bool | float = False
     ) -> Motion:
-        """Move the tool on the circle through one pose to another, in the base frame (`movec`).
+        """Move the tool to a pose in the base frame, on a circular arc through another pose (`movec`).
 
         Args:
-            via: Pose on the arc, shape (6,): position in m, and rotation vector in rad. Its orientation has no effect.
+            via: Pose on the arc, shape (6,): position in m, and rotation vector in rad. Only the position of this pose
+                is used.
             to: Pose at the end, shape (6,).
             speed: Speed of the tool, in m/s.
             acceleration: Acceleration of the tool, in m/s².
@@ -163,7 +165,7 @@ class Motions(StrictAttributes):
         between, goal = check_pose(via, "via"), check_pose(to, "to")
         body = commands.move_circular(between.tolist(), goal.tolist(), *_tool_rates(speed, acceleration))
         self._check_reach(goal)
-        # The arc starts at the current position. If the arm still moves, it comes to rest close to this position.
+        # The arc starts at the current position. If the arm is still moving, it comes to rest close to this position.
         arc = Arc(self._context.state().tool_vector_actual.tolist(), between.tolist(), goal.tolist())
         motion = self._upload(
             "move_circular", body, lambda state: arc.part(state.tool_vector_actual.tolist()), has_goal=True
@@ -183,20 +185,20 @@ class Motions(StrictAttributes):
     ) -> PathMotion:
         """Move through several waypoints in one motion.
 
-        The arm rounds the corner at a waypoint with a blend, without a stop. The path is checked before it is sent,
-        starting at the current position of the arm. Every point of a line or an arc must be reachable on the current
-        branch of the arm, within the limits of the joints. No joint may get too fast, and blends must not overlap.
-        Corners are checked as if they had no blends. Collisions are not checked.
+        At a waypoint with a blend, the arm rounds the corner without a stop. Before urlink sends the path, it checks
+        the path, starting at the current position of the arm. Every point of a line or an arc must be reachable in the
+        current configuration of the arm, within the limits of the joints. No joint may get too fast, and blends must
+        not overlap. Corners are checked as if they had no blends. Collisions are not checked.
 
-        The check needs the model of the arm (firmware 1.8 or later). If the model is unknown, only the numbers are
-        checked.
+        The check needs the model of the arm, which firmware 1.8 or later reports. If the model is unknown, only the
+        ranges of the numbers are checked.
 
         Args:
             waypoints: `Joint`, `Linear` and `Circular` waypoints, each with a blend and optionally with a speed and an
                 acceleration.
             speed, acceleration: Speed and acceleration of the tool on lines and arcs, in m/s and m/s².
-            joint_speed, joint_acceleration: Speed and acceleration of the joint that moves furthest, towards a `Joint`,
-                in rad/s and rad/s².
+            joint_speed, joint_acceleration: Speed and acceleration of the joint that moves furthest, for motions to a
+                `Joint` waypoint, in rad/s and rad/s².
             wait: See `Motions`.
 
         Raises:
@@ -229,20 +231,21 @@ class Motions(StrictAttributes):
     ) -> Motion:
         """Move the joints at a speed, and brake after `duration` (URScript: `speedj`).
 
-        To continue, call it again before the motion ends. The arm then changes from one speed to the next without
-        stopping. If no further call comes, for example because this program has ended or the connection is lost, the
-        robot brakes on its own, after 0.5 s at most:
+        To continue, call this method again before the motion ends. The arm then changes from one speed to the next
+        without stopping. If no further call comes, for example because your program has ended or the connection is
+        lost, the robot brakes on its own, after 0.5 s at most:
 
-        - For a `duration` up to 0.5 s, one program is sent. If the call follows another one, its program does not wait
-          for a start permission. If the controller hangs, the robot **may still execute it** later, for its `duration`.
-        - A longer motion is controlled over a `link`, whose watchdog is 0.5 s. If the next call is for 0.5 s or more
-          and has the same `acceleration`, it changes the speed and the duration and returns the same handle.
+        - For a `duration` up to 0.5 s, one program is sent. If another speed precedes this one, the program does not
+          wait for a start permission. If the controller hangs, the robot **might still execute this program** later,
+          for the time `duration`.
+        - A longer motion is controlled over a `link` with a watchdog of 0.5 s. If the next call has a `duration` of
+          0.5 s or more and the same `acceleration`, it changes the speed and the duration, and returns the same handle.
 
         Args:
             qd: Speeds of the joints, shape (6,), in rad/s.
             acceleration: Acceleration in rad/s², for changes of speed and for braking.
             duration: Time until the arm brakes, in seconds.
-            link: See `follow`. Has no effect for a `duration` up to 0.5 s.
+            link: See `follow`. The link has no effect for a `duration` up to 0.5 s.
             wait: See `Motions`.
         """
         seconds = check_wait(wait)
@@ -269,7 +272,7 @@ class Motions(StrictAttributes):
             xd: Speed of the tool in m/s, and rotation about the three axes in rad/s, shape (6,).
             acceleration: Acceleration in m/s².
             duration: Time until the arm brakes, in seconds.
-            link: See `follow`. Has no effect for a `duration` up to 0.5 s.
+            link: See `follow`. The link has no effect for a `duration` up to 0.5 s.
             wait: See `Motions`.
         """
         seconds = check_wait(wait)
@@ -281,9 +284,9 @@ class Motions(StrictAttributes):
     def stop(self, acceleration: float = 2.0, *, wait: bool | float = False) -> Motion:
         """Brake all joints with `acceleration`, in rad/s² (`stopj`).
 
-        The motion finishes when the arm is at rest. This is an ordinary stop by the controller's program. It does not
-        replace the emergency stop. It is sent even if `safety.enable()` was not called. During a safety stop it is
-        refused, because the arm is then at rest anyway.
+        The motion finishes when the arm is at rest. This is an ordinary stop by a program on the controller. It does
+        not replace the emergency stop. The stop is sent even if `safety.enable()` was not called. During a safety stop,
+        this method is refused, because the arm is then at rest anyway.
         """
         seconds = check_wait(wait)
         body = commands.stop(_joint_acceleration(self._context.who.identity.arm, acceleration))
@@ -313,42 +316,46 @@ class Motions(StrictAttributes):
     ) -> Motion:
         """Follow a trajectory, starting at the current position of the arm.
 
-        The time of the trajectory passes as fast as the robot executes programs. The speed slider, the controller's own
-        limits and a pause slow it down or stop it, and the arm stays on its path.
+        The time of the trajectory advances with the time of the program on the robot. The speed slider, the
+        controller's own limits and a pause slow down or stop this time. The arm stays on the path.
 
         Args:
-            trajectory: Trajectory to follow. It must be at rest at both ends, and its first point must be near the arm.
-            low_bandwidth: Whether to send single points and let the robot interpolate, instead of streaming set-points
-                at the controller's rate. Needs firmware 3.0 or later.
-            path_tolerance: Largest deviation of any joint before the end, in rad. The lag of the arm at speed is part
-                of this deviation. If None, there is no limit.
+            trajectory: Trajectory to follow. The speeds must be zero at both ends, and the first point must be close to
+                the position of the arm.
+            low_bandwidth: Whether urlink sends only the points of the trajectory, and the robot interpolates between
+                them. If False, urlink sends a set-point in each cycle of the controller. True needs firmware 3.0 or
+                later.
+            path_tolerance: Largest deviation of any joint before the end, in rad. This deviation includes the lag of
+                the moving arm behind its set-points. If None, there is no limit.
             goal_tolerance: Largest deviation of any joint at the end, in rad.
-            goal_time: Time that the arm has after the end to reach the goal, in seconds of the trajectory's time.
-            start_tolerance: Largest distance of any joint from the first point, in rad. If it is exceeded, the
-                trajectory is rejected. After a pause, it is the largest distance of any joint from the position where
-                the arm had come to rest. If it is then exceeded, the motion ends with `ToleranceExceeded`.
-            feedback: Function that receives the actual and the desired position of the arm. It is called in a dedicated
-                thread; it may be slow, and it may raise.
+            goal_time: Time after the end within which the arm must reach the goal, in seconds of the trajectory's time.
+            start_tolerance: Largest distance of any joint from the first point, in rad. If the distance is larger, the
+                trajectory is rejected. The same limit applies after a pause, to the distance of any joint from the
+                position where the arm came to rest in the pause. If this distance is larger, the motion ends with
+                `ToleranceExceeded`.
+            feedback: Function that receives the actual and the desired position of the arm. urlink calls this function
+                in a dedicated thread. The function may be slow, and may raise exceptions.
             delay: Lag of the arm behind its set-points in s, as measured by `Servo.measure_delay`. Tolerances and
-                feedback do not include this lag. It does not change when set-points are sent. If None, the two cycles
-                are used that a set-point takes to arrive.
+                feedback then do not include this lag. The value has no effect on the times at which set-points are
+                sent. If None, the value is two cycles, the time that a set-point takes to arrive.
             watchdog: Longest time without a set-point, in seconds. After this time, the robot brakes on its own.
-            lookahead_time: Look-ahead of ``servoj``, 0.03 to 0.2 s. A larger one makes the motion smoother and
-                increases the lag. Has no effect on CB2.
-            gain: Stiffness of ``servoj``, 100 to 2000. Has no effect on CB2.
-            scaling: "ignore" for a trajectory that follows the controller's clock at any scaling. Below 100 %, the arm
-                then lags behind, cuts the curves of its path, and is driven at up to the full speed of its joints to
-                catch up. Set `path_tolerance` in this case.
+            lookahead_time: Look-ahead time of ``servoj``, 0.03 to 0.2 s. A larger value makes the motion smoother and
+                increases the lag. It has no effect on CB2.
+            gain: Stiffness of ``servoj``, 100 to 2000. It has no effect on CB2.
+            scaling: "follow" for a trajectory that advances with the time of the program on the robot. "ignore" for a
+                trajectory that follows the controller's clock at any speed scaling. If the scaling is then below 100 %,
+                the arm lags behind and cuts the curves of the path. To catch up, it may move at the full speed of its
+                joints. Set `path_tolerance` if you use "ignore".
             link: Link for the set-points. "reverse" is a connection that the robot makes to this computer.
-                "rtde" uses input registers of the robot, so no connection to this computer is needed. It requires
-                firmware 3.9, 5.3 or later.
+                "rtde" uses input registers of the robot, so the robot does not have to connect to this computer. It
+                requires firmware 3.9 or later on CB3, or 5.3 or later on e-Series.
             wait: See `Motions`.
 
         Raises:
             LocalError: If `low_bandwidth` is used on a CB2 or over "rtde", or if the firmware does not have the
                 registers for "rtde".
             BadAddress: If the port for the robot's connection cannot be opened.
-            InputInUse: If another RTDE client, or a fieldbus, holds a register.
+            InputInUse: If another RTDE client or a fieldbus has reserved a register.
         """
         seconds = check_wait(wait)
         if not isinstance(trajectory, Trajectory):
@@ -370,8 +377,8 @@ class Motions(StrictAttributes):
         trajectory.check(model)
         state = context.state()
         if self.current is None and stands(state.qd_target):
-            # Otherwise the start is checked when the arm is at rest, after the previous motion. That motion may have
-            # ended already, and the state may be from shortly before its end.
+            # Otherwise the start is checked later, when the arm is at rest after the previous motion. Even if the
+            # previous motion has already ended, the newest state may be from shortly before its end.
             trajectory.check(near=state.q_target, within=tolerances.start)
         if low_bandwidth:
             following: Following = WaypointServer(trajectory, tolerances, firmware, lookahead_time, gain)
@@ -381,7 +388,7 @@ class Motions(StrictAttributes):
         life = context.programs.life("follow")
         motion = Motion(life, lambda: following.progress)
         if feedback is not None:
-            # The subscription has its own queue and thread, because the function may be slow and may raise.
+            # The subscription has its own queue and thread, because the function may be slow and may raise exceptions.
             subscription = context.realtime.subscribe(_reporter(following, feedback))
             life.on_end(lambda: subscription.close(0))
         LinkedProgram(life, context, following, open_link, tolerance=tolerances.start).begin()
@@ -409,20 +416,22 @@ class Motions(StrictAttributes):
                 for state in robot.realtime:
                     servo.send(law(state))
 
-        With ``target_filter="jerk_limited"``, the loop sends targets instead. It may send any target at any time,
-        however far away. The arm moves to the newest target, and never exceeds the limits of speed, acceleration and
-        jerk (`urlink.motion.servo.jerk_limited`).
+        With ``target_filter="jerk_limited"``, the loop sends targets instead. The loop may send any target at any time,
+        even if the target is far away. The arm moves to the newest target, and never exceeds the limits of speed,
+        acceleration and jerk (`urlink.motion.servo.jerk_limited`).
 
         Args:
-            rate: Number of set-points or targets per second that the loop intends to send, for the statistics. If None,
-                use the controller's rate. Set-points cannot exceed this rate, but targets for the filter can.
+            rate: Number of set-points or targets that your loop intends to send per second. It is used for the
+                statistics, and for the check of set-points. If None, the controller's rate. The rate of set-points
+                cannot be higher than the controller's rate, but the rate of targets can.
             target_filter: "jerk_limited", or None for a loop that sends set-points.
             speed, acceleration, jerk: Limits of the target filter, in rad/s, rad/s² and rad/s³: one number for all
-                joints, or shape (6,). They are rejected without a filter, because nothing would limit set-points to
-                them.
-            delay: Lag of the arm behind its set-points in s, as measured by `Servo.measure_delay`. Waypoints of
-                `schedule` are sent earlier by this time. If None, the two cycles are used that a set-point takes to
-                arrive. Cannot be combined with a filter.
+                joints, or shape (6,). Without a filter, these arguments are rejected, because set-points would not be
+                limited.
+            delay: Lag of the arm behind its set-points in s, as measured by `Servo.measure_delay`. With `schedule`,
+                set-points are sent earlier by this time, so that the arm is at each waypoint in time. If None, the
+                value is two cycles, the time that a set-point takes to arrive. This argument cannot be combined with a
+                filter.
             watchdog: Longest time without a set-point, in seconds. After this time, the robot brakes on its own.
             lookahead_time, gain, link: See `follow`.
         """
@@ -430,7 +439,7 @@ class Motions(StrictAttributes):
         fastest = float(firmware.rate) if target_filter is None else _MOST_TARGETS
         whose = f"firmware {firmware}" if target_filter is None else ""
         pace = float(firmware.rate) if rate is None else check_number(rate, "rate", 0.1, fastest, "Hz", whose)
-        # With a filter, a set-point is computed in each cycle, however often targets arrive.
+        # With a filter, a set-point is computed in each cycle, independent of the rate of targets.
         servoing = self._servoing(watchdog, lookahead_time, gain, 1.0 / pace if target_filter is None else 0.0)
         limits = None
         if target_filter is None:
@@ -453,33 +462,35 @@ class Motions(StrictAttributes):
         gain: float = 300.0,
         link: LinkName = "reverse",
     ) -> PointStream:
-        """Return a stream of timed points, which are appended while the arm moves.
+        """Return a `PointStream`, to which timed points are appended while the arm moves.
 
-        Needs firmware 3.4 or later. Use it as a ``with`` block::
+        This needs firmware 3.4 or later. Use it as a ``with`` block::
 
             with robot.motion.stream() as stream:
                 for q, qd in planner:
                     stream.append(TrajectoryPoint(q, stream.end + 0.1, qd))
                 stream.wait_until_dry()
 
-        A program on the robot buffers the next points. It interpolates between them by the positions, speeds and
-        accelerations that they contain, at the robot's own pace: the speed slider slows it down. This computer may be
-        late by the buffered time. If no point is left, the arm brakes, and the next points continue the motion.
+        A program on the robot buffers the next points, and interpolates between them with the positions, speeds and
+        accelerations of the points. The speed slider slows this program down. If this computer is delayed, the arm
+        keeps moving for the duration of the buffered points. If no point is left, the arm brakes. The next points then
+        continue the motion.
 
         Args:
-            buffer: Time of the points that the program buffers, in s, but at most 256 points. If your program hangs,
-                the arm keeps moving for this time. The watchdog may end the motion sooner.
-            acceleration, jerk: Limits in rad/s² and rad/s³, one number for all joints, or shape (6,). They apply to
-                braking when no point is left, and to the path onto points that arrive late or replace others.
+            buffer: Duration of the points that the program on the robot buffers, in s. It buffers at most 256 points.
+                If your program hangs, the arm keeps moving for this time, unless the watchdog ends the motion earlier.
+            acceleration, jerk: Limits in rad/s² and rad/s³, one number for all joints, or shape (6,). The limits apply
+                to braking if no point is left, and to paths onto points that arrive late or replace others.
             watchdog: Longest time without a message from this computer, in seconds. After this time, the program brakes
                 and ends. This computer answers each state with a message.
             lookahead_time, gain: See `follow`.
-            link: See `follow`. With "rtde", the stream occupies other registers than other motions do:
-                `input_int_register_30` to `43` and `input_double_register_24` to `35`. The program reports in
-                `output_int_register_30` to `36`.
+            link: See `follow`. With "rtde", a stream uses different registers than other motions:
+                `input_int_register_30` to `43` and `input_double_register_24` to `35`. The program writes its reports
+                to `output_int_register_30` to `36`.
 
         Raises:
-            LocalError: If the firmware is older than 3.4, or with "rtde" older than 3.9 or 5.3.
+            LocalError: If the firmware is older than 3.4. With "rtde", if it is older than 3.9 on CB3, or older than
+                5.3 on e-Series.
         """
         arm = self._context.who.identity.arm
         servoing = self._servoing(check_number(watchdog, "watchdog", 0.1, 2.0), lookahead_time, gain)
@@ -497,7 +508,7 @@ class Motions(StrictAttributes):
         watchdog: float = 0.2,
         link: LinkName = "reverse",
     ) -> Jog:
-        """Return a `Jog`, which moves the arm at speeds from a person, by a joystick or keys.
+        """Return a `Jog`, which moves the arm at speeds that a person sets with a joystick or keys.
 
         Use it as a ``with`` block::
 
@@ -505,14 +516,14 @@ class Motions(StrictAttributes):
                 while held():
                     jog.move([0, 0, 0.05, 0, 0, 0])
 
-        A speed expires after `timeout` seconds, and the arm brakes, unless `move` has been called again. If this
-        program or the connection fails, the robot brakes on its own after `watchdog` seconds.
+        A speed expires `timeout` seconds after the last call of `move`. Then the arm brakes. If this program or the
+        connection fails, the robot brakes on its own after `watchdog` seconds.
 
         Args:
             frame: "joints" for speeds of the joints. "base" or "tool" for speeds of the tool, along and about the axes
                 of this frame.
-            acceleration: Acceleration for every change of speed and for braking. It applies to the joint whose speed
-                changes most, in rad/s², or to the tool, in m/s² and rad/s².
+            acceleration: Acceleration for every change of speed and for braking: for joints, in rad/s², of the joint
+                with the largest change of speed; for the tool, in m/s² and rad/s².
             timeout: Time until a speed expires, in seconds.
             watchdog: Longest time without a message from this computer, in seconds. After this time, the robot brakes.
             link: See `follow`.
@@ -546,24 +557,26 @@ class Motions(StrictAttributes):
     ) -> ContactMotion:
         """Move the tool straight until it touches something.
 
-        `ContactMotion.contact` then reports the place where the contact began. On firmware 5.4 or later, the controller
-        detects the contact and the place where it began. On older firmware, and with `force`, there is a contact when
-        the force against the direction has grown by `force`.
+        After the contact, `ContactMotion.contact` is the position where the contact began. On firmware 5.4 or later,
+        the controller detects the contact and the position where it began. On older firmware, and if `force` is given,
+        a contact is detected when the force against the direction of motion has increased by `force`.
 
         Args:
             direction: Direction in the base frame, shape (3,), of any length.
             speed: Speed of the tool, in m/s.
             acceleration: Acceleration of the tool, in m/s².
-            distance: Longest distance, in m. After it, the motion ends with `NoContact`.
-            force: Force that counts as a contact, in N. If None, use the controller's own detection, or 20 N if the
-                controller has none. It must be larger than the oscillations of the force while the arm accelerates. It
-                must also be larger than the force with which the tool presses on an object that it moves away from,
-                because the end of this force is measured as a force against the direction.
-            retract: Whether to move back to the place where the contact began, which releases the force.
+            distance: Longest distance, in m. If the tool touches nothing within this distance, the motion ends with
+                `NoContact`.
+            force: Force that counts as a contact, in N. If None, the controller's own detection is used, or 20 N if the
+                controller has none. The force must be larger than the oscillations of the measured force while the arm
+                accelerates. If the tool first presses on an object and then moves away from it, `force` must also be
+                larger than the pressing force. The reason: the end of the pressing is measured as a force against the
+                direction of motion.
+            retract: Whether to move back to the position where the contact began. This releases the force.
             wait: See `Motions`.
 
         Raises:
-            LocalError: If the firmware is older than 3.3, because it cannot move the tool cycle by cycle.
+            LocalError: If the firmware is older than 3.3. Such firmware cannot move the tool cycle by cycle.
         """
         seconds = check_wait(wait)
         context, identity = self._context, self._context.who.identity
@@ -607,7 +620,7 @@ class Motions(StrictAttributes):
         watchdog: float = 0.5,
         link: LinkName = "reverse",
     ) -> ForceMode:
-        """Return a `ForceMode`: the tool yields along some axes until it exerts a wrench.
+        """Return a `ForceMode`, in which the tool yields along some axes so that it exerts a given wrench.
 
         Use it as a ``with`` block::
 
@@ -615,25 +628,28 @@ class Motions(StrictAttributes):
                 ...
                 pressing.set_wrench([0, 0, -20, 0, 0, 0])
 
-        The mode ends with the block, even if an exception, `close` or a stop ends the block. If no more messages from
-        this computer arrive, the program on the robot ends the mode on its own.
+        Force mode ends with the block, even if the block ends because of an exception, `close` or a stop. If no more
+        messages from this computer arrive, the program on the robot ends force mode on its own.
 
         Args:
-            frame: "base", "tool" (the current pose of the tool), or a pose in the base frame, shape (6,). Only its axes
-                have an effect.
-            selection: Six values of 0 or 1, for x, y, z, rx, ry, rz. The arm yields along the axes with 1.
+            frame: "base", "tool" (the current pose of the tool), or a pose in the base frame, shape (6,). Only the
+                directions of the axes of the frame have an effect.
+            selection: Six values of 0 or 1, for x, y, z, rx, ry, rz. The arm yields along the axes with the value 1.
             wrench: Forces and torques that the tool exerts on the object, shape (6,), in N and Nm.
             limits: Largest speeds along axes that yield, in m/s and rad/s, and largest deviations along the other axes,
-                in m and rad; shape (6,). The controller applies them.
-            kind: Rotation of the frame. With 1, its y axis points from the tool to the origin of the frame. With 2, the
-                frame is not turned. With 3, its x axis is the direction of the motion in the x-y plane.
+                in m and rad; shape (6,). The controller enforces these limits.
+            kind: Rotation of the frame, 1 to 3. With 1, the y axis of the frame points from the tool to the origin of
+                the frame. With 2, the frame is not turned. With 3, the x axis of the frame is the direction of the
+                motion in the x-y plane.
             damping: Damping, 0 to 1; the controller's default is 0.005. Needs firmware 3.5 or later.
             gain: Gain, 0 to 2. A smaller gain is steadier on hard objects. Needs firmware 5.0 or later.
-            watchdog: Longest time without a message from this computer, in seconds. After it, the robot ends the mode.
+            watchdog: Longest time without a message from this computer, in seconds. After this time, the robot ends
+                force mode.
             link: See `follow`.
 
         Raises:
-            LocalError: If this firmware does not have force mode, damping or gain.
+            LocalError: If this firmware does not support force mode, or if it does not support the given damping or
+                gain.
         """
         pressing = force_control.Pressing(
             frame_of(self._context, frame),
@@ -653,26 +669,27 @@ class Motions(StrictAttributes):
         watchdog: float = 0.05,
         link: LinkName = "reverse",
     ) -> Torque:
-        """Return a `Torque`, which sends joint torques from your loop (`direct_torque`).
+        """Return a `Torque`, which sends the joint torques of your loop (URScript: `direct_torque`).
 
-        Needs firmware 5.23, 10.11 or later. Use it as a ``with`` block::
+        This needs firmware 5.23 or later (PolyScope X: 10.11 or later). Use it as a ``with`` block::
 
             with robot.motion.torque() as torque:
                 for state in robot.realtime:
                     torque.send(law(state))
 
-        The controller compensates gravity, and adds the torques that you send. Only your loop, and the controller's own
-        limits, limit the speed of the arm.
+        The controller compensates gravity, and adds the torques that you send. urlink does not limit the speed of the
+        arm. Only your loop and the controller's own limits do this.
 
         Args:
-            limits: Largest torques that `send` accepts, shape (6,), in Nm. If None, use the largest torques of the
-                joints.
+            limits: Largest torques that `send` accepts, shape (6,), in Nm. If None, the limits are the maximum torques
+                of the joints.
             friction_compensation: Whether the controller compensates the friction of the joints.
-            watchdog: Time in which the last torque fades if no other torque follows, in seconds. Then the arm brakes.
+            watchdog: Time in seconds in which the last torques decrease gradually if no new torques follow. Then the
+                arm brakes.
             link: See `follow`.
 
         Raises:
-            LocalError: If this firmware does not have direct torque.
+            LocalError: If this firmware does not support direct torque.
         """
         return Torque(self._context, limits, friction_compensation, watchdog, self._opener(link))
 
@@ -704,43 +721,47 @@ class Motions(StrictAttributes):
                     soft.send(pose)
 
         The program on the robot computes the springs in each cycle. It moves the arm evenly from one target to the
-        next, however often targets arrive. Until a target is sent, the arm is held at its position. The springs do not
-        drive a joint faster than `speed`, nor beyond the end of its range. Only a push that is stronger than the brake
-        can do this. When the block ends, the springs are released within 0.2 s, and the arm is at rest.
+        next, at any rate of targets. Until the first target is sent, the springs hold the arm at its position. The
+        springs never drive a joint faster than `speed`, or beyond the end of its range. Only an external push that is
+        stronger than the braking torque can do this. When the block ends, the springs are released within 0.2 s, and
+        the arm comes to rest.
 
-        On firmware 5.23, 10.11 or later, the springs act through direct torque. An e-Series arm with older firmware,
-        5.10 or later, yields to the force that its wrist measures. It supports only springs of the tool. Zero the force
-        sensor before you use them.
+        On firmware 5.23 or later (PolyScope X: 10.11 or later), direct torque produces the forces of the springs. An
+        e-Series arm with older firmware, but at least 5.10, supports only springs of the tool: it moves according to
+        the force that the sensor in the wrist measures. Zero the force sensor before you use these springs.
 
         Args:
-            frame: "joints" for springs in the joints. "base" or "tool" for springs of the tool, along and about the
-                axes of the base or of the target. Six numbers are then x, y, z, rx, ry, rz.
-            stiffness: Stiffness in Nm/rad, one number for all joints, or shape (6,). A joint with 0 is only damped. If
-                None, use the stiffness of the vendor's example of impedance control, which exists for UR3e, UR5e and
-                UR10e. For the tool, in N/m and Nm/rad; if None, 500 and 30.
-            damping: Damping ratio, one number or shape (6,). With 1, a joint, or the tool along an axis, just does not
-                overshoot its target.
-            torque: Largest torque of springs and dampers in each joint, in Nm, up to half of the largest torque of the
-                joint. If None, use about the torques of the vendor's example. A joint that is too fast is braked with
-                up to four times this torque. With springs of the tool, it limits only the springs; damping may add to
-                it.
-            speed: Largest speed, in rad/s; if None, 1. For the tool, in m/s and rad/s; if None, 0.25 and 0.8. Targets
-                are approached at up to 0.7 of this speed.
-            error: Largest stretch of a spring, in rad; if None, 0.2. For the tool, in m and rad; if None, 0.1 and 0.5.
-                Beyond it, the force of the spring does not grow.
+            frame: "joints" for springs of the joints. "base" or "tool" for springs of the tool, along and about the
+                axes of the base frame or of the target. Then six numbers are in the order x, y, z, rx, ry, rz.
+            stiffness: Stiffness in Nm/rad, one number for all joints, or shape (6,). A joint with stiffness 0 is only
+                damped. If None, the stiffness in the vendor's example of impedance control, which exists for UR3e, UR5e
+                and UR10e. For springs of the tool, the stiffness is in N/m and Nm/rad; if None, 500 and 30.
+            damping: Damping ratio, one number or shape (6,). With 1 (critical damping), a joint or an axis of the tool
+                reaches its target as fast as possible without overshoot.
+            torque: Largest torque of springs and dampers in each joint, in Nm, up to half of the maximum torque of the
+                joint. If None, about the torques of the vendor's example. A joint that is too fast is braked with up to
+                four times this torque. With springs of the tool, the limit applies only to the springs; the dampers may
+                add further torque.
+            speed: Largest speed of the joints, in rad/s; if None, 1. For springs of the tool, this is the largest speed
+                of the tool in m/s and rad/s; if None, 0.25 and 0.8. The arm moves to targets at up to 0.7 of this
+                speed.
+            error: Largest extension of a spring, in rad; if None, 0.2. For springs of the tool, the extension is in m
+                and rad; if None, 0.1 and 0.5. With a larger extension, the force of the spring does not increase
+                further.
             force: Largest force and torque of the springs of the tool, in N and Nm; if None, 50 and 5.
-            posture_stiffness: Stiffness in Nm/rad of springs in the joints, in addition to the springs of the tool; if
-                None, 0.5. They pull the joints to the posture of the target (`Impedance.send`). They decide the joint
-                positions when the tool can turn freely, and in singular poses.
+            posture_stiffness: Stiffness in Nm/rad of posture springs, in addition to the springs of the tool; if None,
+                0.5. Posture springs pull the joints to the posture of the target (`Impedance.send`). They determine the
+                joint positions if the tool can turn freely, and in singular poses.
             friction_compensation: Whether the controller compensates the friction of the joints.
-            watchdog: Longest time without a message from this computer, in seconds. After it, the robot ends the
-                motion. This computer answers each state with a message. The time may be longer than your program is
-                ever busy, because the limits also apply while no message arrives.
+            watchdog: Longest time without a message from this computer, in seconds. After this time, the robot ends the
+                motion. This computer answers each state with a message. You can choose a time that is longer than any
+                delay of your program, because the limits also apply while no message arrives.
             link: See `follow`.
 
         Raises:
             BadValue: If an argument is out of range, or has no effect with this frame or this firmware.
-            LocalError: If this firmware has neither direct torque nor a force sensor, or if the arm is unknown.
+            LocalError: If the robot has neither direct torque nor a force sensor, or if the model of the arm is
+                unknown.
         """
         check_choice(frame, "frame", get_args(FrameName))
         parameters = ImpedanceParameters(
@@ -751,12 +772,12 @@ class Motions(StrictAttributes):
     def _freedrive(
         self, axes: Sequence[object] | None, frame: Numbers | str, watchdog: float, link: LinkName
     ) -> Freedrive:
-        """See `Robot.freedrive`."""
+        """Return a `Freedrive`; see `Robot.freedrive`."""
         free = None if axes is None else axes_of(axes, "axes")
         return Freedrive(self._context, free, frame_of(self._context, frame), watchdog, self._opener(link))
 
     def _tool_pose(self, q: FloatArray) -> FloatArray | None:
-        """Return the pose of the TCP at joint positions, with the TCP of the newest state; None if unknown."""
+        """Return the pose of the TCP at given joint positions, with the TCP of the newest state; None if unknown."""
         identity, state = self._context.who.identity, self._context.realtime.latest
         if identity.arm is None or state is None:
             return None
@@ -766,7 +787,7 @@ class Motions(StrictAttributes):
     # ----------------------------------------------------------------------------------------------------
 
     def _check_reach(self, goal: FloatArray) -> None:
-        """Raise `Unreachable` if the TCP cannot reach a pose. If the arm is unknown, nothing is checked."""
+        """Raise `Unreachable` if the TCP cannot reach a pose. If the model of the arm is unknown, check nothing."""
         identity = self._context.who.identity
         if identity.arm is not None:
             state = self._context.state()
@@ -784,11 +805,11 @@ class Motions(StrictAttributes):
         asks: bool = True,
         left_alone: str = _MAY_GO_ON,
     ) -> Motion:
-        """Start a motion that consists of one short program, which is sent once.
+        """Start a motion that consists of one short program.
 
         Args:
-            has_goal: Whether the program has a goal. After a pause, the controller would drive the arm back onto its
-                path to the goal, so the motion is ended if the arm was moved during the pause.
+            has_goal: Whether the program has a goal. If the arm is moved during a pause, such a motion is ended,
+                because the controller would otherwise drive the arm back onto the path to the goal.
         """
         context = self._context
         life = context.programs.life(name)
@@ -816,9 +837,9 @@ class Motions(StrictAttributes):
                 return held
         if duration > UNLED:
             return HeldSpeed(context, name, is_tool, speeds, acceleration, duration, open_link)
-        # A speed that follows another one requests no start permission. Waiting for it would make the arm stutter, and
-        # if calls come faster than permissions, no call would ever move the arm. If the controller reads a call too
-        # late, the arm moves for no longer than `duration`.
+        # If a speed follows another speed, the program requests no start permission. Waiting for a permission would
+        # make the arm stutter. If calls came faster than permissions, no call would ever move the arm. Even if the
+        # controller executes a program too late, the arm moves no longer than `duration`.
         goes_on = any(life.name.startswith("speed_") for life in context.programs.permitted)
         write = commands.speed_linear if is_tool else commands.speed_joints
         clock = context.clock
@@ -836,7 +857,7 @@ class Motions(StrictAttributes):
 
         Args:
             link: Name of the link.
-            registers: Registers for "rtde". If None, use the registers for messages of two times six numbers.
+            registers: Registers for "rtde". If None, use the registers for set-points.
         """
         check_choice(link, "link", get_args(LinkName))
         if link == "reverse":
@@ -871,9 +892,10 @@ class Motions(StrictAttributes):
 
 
 def _arriving(goal: FloatArray, where: Callable[[RealtimeState], FloatArray]) -> Callable[[RealtimeState], float]:
-    """Return a function that measures progress: the distance to a goal relative to the distance in the first state.
+    """Return a function that measures progress: 0 in the first state, 1 at the goal.
 
-    The distance is the largest difference of a coordinate.
+    The progress is 1 minus the distance to the goal, relative to the distance in the first state. A distance is the
+    largest difference of any coordinate.
     """
     whole: list[float] = []
 
@@ -889,7 +911,7 @@ def _arriving(goal: FloatArray, where: Callable[[RealtimeState], FloatArray]) ->
 def _reporter(
     following: Following, feedback: Callable[[TrajectoryFeedback], object]
 ) -> Callable[[RealtimeState], None]:
-    """Return a callback that reports, for each state, the actual and the desired position of the arm."""
+    """Return a callback that passes the actual and the desired position of the arm to `feedback`, for each state."""
 
     def report(state: RealtimeState) -> None:
         times = following.times(state.time)
@@ -919,7 +941,7 @@ def _joint_acceleration(arm: Model | None, value: float, prefix: str = "") -> fl
 
 
 def _time(time: float | None, speed: float, acceleration: float) -> float | None:
-    """Check the duration of a move. Raises `BadValue` if a speed or an acceleration was also given."""
+    """Check the duration of a move; raise `BadValue` if a speed or an acceleration was also given."""
     if time is None:
         return None
     check_overridden("time sets the duration", speed=speed, acceleration=acceleration)

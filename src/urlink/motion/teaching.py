@@ -1,6 +1,6 @@
-"""Teaching: a person moves the arm, and waypoints are recorded by a call, a digital input, or the arm's own button.
+"""Teaching: a person moves the arm by hand, and records waypoints with a call, a digital input or the freedrive button.
 
-Taught waypoints are saved, loaded and played in their order.
+Taught waypoints can be saved, loaded, and played in the order in which they were recorded.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from .motions import Motions
 
-#: Beginning of a file, which other programs may also read.
+#: Format name and version at the beginning of a file. Other programs may also read such files.
 _FORMAT, _VERSION = "urlink taught waypoints", 1
 
 
@@ -45,12 +45,12 @@ class _Player(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class TaughtPoint:
-    """A waypoint: the position of the arm when it was recorded.
+    """Taught waypoint: position of the arm at the moment of recording.
 
     Attributes:
         q: Joint positions, shape (6,), in rad.
-        pose: Pose of the TCP in the base frame, shape (6,), in m and rad. It is for display and for other programs; the
-            joint positions are played.
+        pose: Pose of the TCP in the base frame, shape (6,), in m and rad. The pose is for display and for other
+            programs; `play` uses the joint positions.
     """
 
     q: FloatArray
@@ -58,10 +58,10 @@ class TaughtPoint:
 
 
 class Taught(StrictAttributes):
-    """Waypoints in their order of teaching.
+    """List of taught waypoints, in the order in which they were recorded.
 
     Args:
-        points: First waypoints.
+        points: Initial waypoints.
         model: Name of the arm; None if it is unknown.
     """
 
@@ -71,7 +71,7 @@ class Taught(StrictAttributes):
 
     @property
     def points(self) -> tuple[TaughtPoint, ...]:
-        """Waypoints so far."""
+        """Waypoints that have been taught so far."""
         return tuple(self._points)
 
     def __len__(self) -> int:
@@ -105,8 +105,8 @@ class Taught(StrictAttributes):
         The path between two waypoints is a straight line in joint space.
 
         Args:
-            blend: Radius in m, at all waypoints except the last, where the arm begins to round the corner. 0 to stop
-                there.
+            blend: Distance from each waypoint except the last, in m, at which the arm begins to round the corner; 0 to
+                stop at each waypoint.
         """
         last = len(self) - 1
         return [Joint(point.q, blend=blend if i < last else 0.0) for i, point in enumerate(self.points)]
@@ -122,18 +122,18 @@ class Taught(StrictAttributes):
     ) -> PathMotion:
         """Move through all waypoints in one motion.
 
-        The motion is checked before it is sent, like any path. The arm first moves in a straight line in joint space
+        Like every path, the motion is checked before it is sent. The arm first moves in a straight line in joint space
         from its current position to the first waypoint.
 
         Args:
-            robot: The robot, with an arm of the same model.
+            robot: Robot that plays the waypoints. It must have an arm of the same model.
             speed: Speed of the joint that moves furthest, in rad/s.
             acceleration: Acceleration of this joint, in rad/s².
             blend: See `waypoints`.
             wait: See `Motions`.
 
         Raises:
-            BadValue: If there is no waypoint, if the arm is of another model, or if the path fails its checks.
+            BadValue: If there is no waypoint, if the arm has another model, or if the path fails a check.
         """
         if not self._points:
             raise BadValue("no waypoint was taught, so there is nothing to play")
@@ -146,7 +146,7 @@ class Taught(StrictAttributes):
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the waypoints as JSON.
 
-        An older file of this name is replaced completely or not at all.
+        If a file with this name exists, it is replaced completely or not at all.
 
         Raises:
             BadValue: If the file cannot be written.
@@ -171,7 +171,7 @@ class Taught(StrictAttributes):
         """Read waypoints that `save` has written.
 
         Raises:
-            BadValue: If the file cannot be read, or has other content; the message names it.
+            BadValue: If the file cannot be read, or does not contain taught waypoints. The message names the file.
         """
         try:
             held = json.loads(Path(path).read_text(encoding="utf-8"))
@@ -194,7 +194,7 @@ class Taught(StrictAttributes):
         if model is not None and not isinstance(model, str):
             raise BadValue(f'"model" is {model!r}; expected a name or null')
         if not isinstance(waypoints, list):
-            raise BadValue('"waypoints" is not a list')
+            raise BadValue('"waypoints" must be a list')
         points = []
         for number, point in enumerate(waypoints):
             if not isinstance(point, dict) or not {"q", "pose"} <= point.keys():
@@ -203,24 +203,27 @@ class Taught(StrictAttributes):
         return cls(points, model)
 
 
-#: Time in s after a waypoint. Within it, an input that bounces does not record another one.
+#: Time in s after a waypoint within which the digital input records no further waypoint. It suppresses the bouncing of
+#: a switch.
 _BOUNCE = 0.2
 
 
 class Teaching(StrictAttributes):
-    """Teaching of waypoints for as long as a ``with`` block is open. `robot.teach` returns it.
+    """Teaching of waypoints while a ``with`` block is open; see `robot.teach`.
 
     Args:
         realtime: Stream with the positions of the arm.
         model: Name of the arm; None if it is unknown.
-        freedrive: Freedrive that is open meanwhile; None if the arm is moved with its own button.
-        input_bit: Bit of a digital input. Switching it on records a waypoint. None for no input.
-        buttons: Stream with `robot_status_bits`. When these show that the arm's own button is released, a waypoint is
-            recorded. None for no button.
-        on_point: Function that is called with each waypoint, in the thread that has recorded it.
+        freedrive: Freedrive that is active while the block is open; None if the person uses the freedrive button
+            of the arm.
+        input_bit: Bit number of a digital input. When this input is switched on, a waypoint is recorded. None for no
+            input.
+        buttons: Stream with `robot_status_bits`. When these bits show that the freedrive button was released, a
+            waypoint is recorded. None for no button.
+        on_point: Function that is called with each waypoint, in the thread that recorded this waypoint.
 
     Attributes:
-        taught: Waypoints so far; they remain after the block.
+        taught: Waypoints recorded so far. They remain after the block is left.
     """
 
     def __init__(
@@ -238,24 +241,24 @@ class Teaching(StrictAttributes):
         self._input_bit = input_bit
         self._buttons = buttons
         self._on_point = on_point
-        #: closed when the block is left; None outside of the block
+        #: exit stack that is closed when the block is left; None outside of the block
         self._open: contextlib.ExitStack | None = None
-        # In the first state, an input that is on, or a button that is not held, is not an event.
+        # Chosen so that the first state never records a waypoint, even if the input is on or the button is not pressed.
         self._was_on, self._was_held = True, False
         self._kept_at = -math.inf
 
     @property
     def freedrive(self) -> Freedrive | None:
-        """Freedrive of this block; None if the arm is moved with its own button."""
+        """Freedrive of this block; None if the person uses the freedrive button of the arm."""
         return self._freedrive
 
     @starts_motion
     def __enter__(self) -> Self:
-        """Start freedrive.
+        """Start freedrive, and begin to watch the input and the button.
 
         Raises:
             SafetyStop, NotRunning: If the arm may not be moved now.
-            LinkError: If it cannot start for another reason.
+            LinkError: If freedrive cannot start for another reason.
             LocalError: If this object was used before.
         """
         with contextlib.ExitStack() as opened:
@@ -272,7 +275,7 @@ class Teaching(StrictAttributes):
         return self
 
     def __exit__(self, *exc: object) -> None:
-        """End freedrive. The waypoints remain."""
+        """End freedrive, and stop watching the input and the button. The waypoints remain."""
         opened, self._open = self._open, None
         assert opened is not None, "only an entered block is left"
         opened.close()
@@ -281,8 +284,8 @@ class Teaching(StrictAttributes):
         """Record the current position of the arm as the next waypoint.
 
         Raises:
-            LocalError: If not called within the block.
-            LinkError: If freedrive has ended (the error is its reason), or if no state arrives.
+            LocalError: If called outside the ``with`` block.
+            LinkError: If freedrive has ended (the error states the reason), or if no state arrives.
         """
         if self._open is None:
             raise LocalError("the block is not open; record waypoints within it: with robot.teach() as teaching: ...")

@@ -86,7 +86,7 @@ def decode(
         size, need = boundary.declared(data, at)
         try:
             if need > end - at:
-                raise PacketError("cut off", packet=name, expected=need, actual=end - at)
+                raise PacketError("the packet is cut off", packet=name, expected=need, actual=end - at)
             if not size:
                 begin = data[at : at + 8].hex(" ")
                 raise PacketError(f"no packet of the {interface} interface starts with {begin}", packet=name)

@@ -1,6 +1,6 @@
 """Enumerations and bit masks of all interfaces. Unknown values of an enumeration are kept: see `OpenInt`.
 
-Source: docs/protocols/primary.md, section Numbers that stand for something, which combines the vendor's lists and those
+Source: docs/protocols/primary.md, section Numbers that stand for something, which combines the lists of the vendor and
 of public decoders.
 """
 
@@ -40,7 +40,7 @@ class RobotMode(OpenInt):
 
 
 class RobotModeCB2(OpenInt):
-    """Robot mode of CB2 controllers: the numbers differ from those of later controllers."""
+    """Robot mode of CB2 controllers; later controllers use other numbers."""
 
     RUNNING = 0
     FREEDRIVE = 1

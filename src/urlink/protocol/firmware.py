@@ -1,8 +1,8 @@
 """Table of firmware releases: the packets of each release and their sizes.
 
-The layouts define each field and the version that sends it first. This table defines the resulting sizes, release by
-release, and the evidence for each row. A test compares the two. For a release that appends fields, add one row here and
-the fields with their `since`.
+The layouts define each field and the first version that sends it. This table defines the resulting sizes, release by
+release, and the evidence for each row. A test compares the layouts with the table. For a release that appends fields,
+add one row here, and add the fields with their `since` to the layouts.
 
 Sources: docs/protocols/realtime.md, section Length by firmware; docs/protocols/primary.md, section Robot state.
 """
@@ -49,17 +49,17 @@ class Firmware(NamedTuple):
 
     @property
     def is_cb2(self) -> bool:
-        """Whether it belongs to a CB2 controller (1.x)."""
+        """Whether the firmware belongs to a CB2 controller (1.x)."""
         return self.major < 3
 
     @property
     def is_e_series(self) -> bool:
-        """Whether it belongs to an e-Series controller (5.x) or a later one."""
+        """Whether the firmware belongs to an e-Series controller (5.x), or to a later generation."""
         return self.major >= 5
 
     @property
     def is_polyscope_x(self) -> bool:
-        """Whether it is PolyScope X (10.x), which has a Robot API instead of the dashboard server."""
+        """Whether the firmware is PolyScope X (10.x), which has a Robot API instead of the dashboard server."""
         return self.major >= 10
 
     @property
@@ -216,7 +216,7 @@ def release_of(firmware: Firmware) -> Release:
     """Return the row that is valid for `firmware`.
 
     If `firmware` is later than all rows of its generation, return the newest row of that generation. If its generation
-    is newer than the whole table, return the newest row of the table, because a controller may be newer than this
+    is newer than the whole table, return the newest row of the table, because a controller might be newer than this
     library. A number between two generations of the table, such as 6.1, was never released.
 
     Raises:
@@ -227,7 +227,7 @@ def release_of(firmware: Firmware) -> Release:
     if not rows or (not same and firmware.major < _MAJORS[-1]):
         series = [f"{major}.x" for major in _MAJORS]
         known = " or ".join((", ".join(series[:-1]), series[-1]))
-        raise BadVersion(f"unknown firmware {firmware}; expected a release of {known}, from {RELEASES[0].since} on")
+        raise BadVersion(f"unknown firmware {firmware}; expected a release of {known}, not before {RELEASES[0].since}")
     return (same or rows)[-1]
 
 

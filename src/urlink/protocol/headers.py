@@ -1,6 +1,6 @@
 """Headers and possible sizes of the packets of each interface, and the first bytes that identify a peer.
 
-All interfaces share this module, because each of them reports a connection to the wrong port.
+All interfaces share this module, because the client of each interface recognises a peer on the wrong port.
 Sources: docs/protocols/realtime.md and primary.md, sections Framing; docs/protocols/dashboard.md, section Lines.
 """
 

@@ -54,7 +54,7 @@ def statement_line(text: str) -> str:
     if not line:
         raise BadValue(f"{text[:80]!r} is not a statement; expected a line of URScript")
     if line in WORDS:
-        raise BadValue(f"{line!r} is not a statement; use the method of Interpreter for this word")
+        raise BadValue(f"{line!r} is a command word, not a statement; use the method of Interpreter for this word")
     for character in line:
         if character != "\t" and not character.isprintable():
             raise BadValue(f"{character!r} in {line[:80]!r}: a statement must not contain control characters")
@@ -118,7 +118,7 @@ class InterpreterProtocol:
             LocalError: If the reply to the previous line has not arrived.
         """
         if not self.is_in_step:
-            raise LocalError(f"{text!r} cannot be sent on a connection that is out of step")
+            raise LocalError(f"{text!r} cannot be sent, because the connection is out of step: use a new connection")
         self._is_asked = True
         return text.encode() + b"\n"
 

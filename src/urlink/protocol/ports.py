@@ -45,7 +45,7 @@ def service_of(host: str, port: int) -> Hashable:
     return host.casefold(), port
 
 
-_WHERE = "the service may be switched off (Settings > Security > Services at the pendant)"
+_WHERE = "the service might be switched off (Settings > Security > Services at the pendant)"
 _SINCE = Firmware(5, 17)
 
 
@@ -56,7 +56,7 @@ def refusal_hint(firmware: Firmware | None) -> str:
         firmware: Firmware of the controller; None if it is unknown.
 
     >>> refusal_hint(Firmware(5, 25))
-    'on firmware 5.25 the service may be switched off (Settings > Security > Services at the pendant)'
+    'on firmware 5.25 the service might be switched off (Settings > Security > Services at the pendant)'
     >>> refusal_hint(Firmware(5, 11))
     ''
     """

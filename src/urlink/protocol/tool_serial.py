@@ -29,13 +29,13 @@ _NEEDED = (
 class ToolSerial(StrictAttributes, Closing):
     """RS485 line in the tool connector. It connects when it is first used; threads take turns.
 
-    `robot.io.set_tool_communication` configures the line. The line is not interlocked: the device at the tool executes
-    commands even during a stop. All clients that are connected to the port share the line, so received bytes can be the
-    reply to another client.
+    `robot.io.set_tool_communication` configures the line. The interlock does not affect the line: the device at the
+    tool executes commands even during a stop. All clients that are connected to the port share the line, so received
+    bytes can be the reply to another client.
 
     All methods that use the line raise
 
-    - `BadValue` if an argument is invalid; nothing is sent then;
+    - `BadValue` if an argument is invalid; in this case, nothing is sent;
     - `ConnectFailed` if no URCap serves the line, `ConnectionLost` if the connection is lost, and `LinkTimeout` if
       nothing arrives in time;
     - `Closed` after the robot was closed.

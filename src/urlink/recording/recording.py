@@ -1,4 +1,4 @@
-"""`load` and `Recording`: the recorded data of a robot, as arrays."""
+"""`load` and `Recording`: recorded data of a robot as arrays."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ def load(path: str | os.PathLike[str], *, progress: Progress | None = None) -> R
 
     Args:
         path: Path of the file.
-        progress: Function that is called with the completed fraction, 0 to 1, while the file is indexed. It is called
-            again when each stream is first used, while its packets are indexed.
+        progress: Function that is called with the completed fraction, 0 to 1, while the file is indexed. When a stream
+            is first used, its packets are indexed, and the function is called again.
 
     Raises:
         BadRecording: If the file does not exist, or is not a recording of a robot.
@@ -57,11 +57,11 @@ def load(path: str | os.PathLike[str], *, progress: Progress | None = None) -> R
 
 
 class Recording(StrictAttributes):
-    """Recorded data of a robot, as arrays; made by `load`.
+    """Recorded data of a robot as arrays. Call `load` to create it.
 
     Attributes:
         path: Path of the file.
-        channels: Description of each stream by the recorder, by the name of the stream.
+        channels: Descriptions of the streams, as the recorder wrote them. The keys are the names of the streams.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, progress: Progress | None = None) -> None:
@@ -74,7 +74,7 @@ class Recording(StrictAttributes):
             info = described(self.path, int(index.channel[record]), index.payload(record), "name")
             self.channels[info["name"]] = info
             self._numbers[info["name"]] = int(index.channel[record])
-        # Each stream has its own writer thread, so the first record might not have the earliest stamp.
+        # Each stream was written by its own thread, so the first record might not have the earliest stamp.
         times = index.monotonic[index.kind == Kind.BYTES]
         self._start, self._stop = (int(times.min()), int(times.max())) if len(times) else (0, 0)
 
@@ -126,12 +126,12 @@ class Recording(StrictAttributes):
 
     @property
     def is_complete(self) -> bool:
-        """Whether the recording was closed properly."""
+        """Whether the recorder closed the file properly."""
         return self._index.is_complete
 
     @property
     def left_out(self) -> int:
-        """Number of bytes of the file that are unfinished or damaged."""
+        """Number of bytes in unfinished or damaged parts of the file. These parts are skipped."""
         return self._index.left_out
 
     @property
@@ -144,17 +144,17 @@ class Recording(StrictAttributes):
             said += [f"{name}: {each}" for each in table.missing]
         return tuple(said)
 
-    # -- its streams -------------------------------------------------------------------------------
+    # -- streams -----------------------------------------------------------------------------------
 
     @cached_property
     def realtime(self) -> Table:
-        """Real-time states: ``run.realtime["q_actual"]`` has the shape (n, 6).
+        """Table of the real-time states: ``run.realtime["q_actual"]`` has the shape (n, 6).
 
         Raises:
             BadRecording: If the recording does not contain them.
         """
         channel = self._channel("realtime", RealtimeProtocol, RealtimeState)
-        # A recorder that stores fewer packets than the robot sends also stores its rate.
+        # If the recorder stores fewer packets than the robot sends, it also stores the rate of the stored packets.
         rate = self._info("realtime").get("rate")
         if isinstance(rate, (int, float)) and 0 < rate < float("inf"):
             periods: tuple[float, ...] = (1.0 / rate,)
@@ -164,7 +164,7 @@ class Recording(StrictAttributes):
 
     @cached_property
     def primary(self) -> RobotStates:
-        """Robot states of the primary interface, with their sub-packages and messages.
+        """Table of the robot states of the primary interface, with their sub-packages and messages.
 
         Raises:
             BadRecording: If the recording does not contain them.
@@ -173,7 +173,7 @@ class Recording(StrictAttributes):
 
     @cached_property
     def secondary(self) -> RobotStates:
-        """Robot states of the secondary interface.
+        """Table of the robot states of the secondary interface.
 
         Raises:
             BadRecording: If the recording does not contain them.
@@ -182,7 +182,7 @@ class Recording(StrictAttributes):
 
     @cached_property
     def rtde(self) -> Table:
-        """Variables of an RTDE stream, by name.
+        """Table of the variables of an RTDE stream. The variable names are the names of the columns.
 
         Raises:
             BadRecording: If the recording does not contain them.
@@ -195,7 +195,7 @@ class Recording(StrictAttributes):
 
     @property
     def tables(self) -> dict[str, Table]:
-        """Recorded streams, by name."""
+        """Tables of all recorded streams. The keys are the names of the streams."""
         return {
             name: getattr(self, name) for name in ("realtime", "primary", "secondary", "rtde") if name in self.channels
         }
@@ -210,14 +210,14 @@ class Recording(StrictAttributes):
         *,
         progress: Progress | None = None,
     ) -> Path:
-        """Export the recording to a file for another program. When complete, it replaces a file of the same name.
+        """Export the recording to a file for another program. The complete file replaces a file of the same name.
 
         Args:
             path: Path of the new file. The suffix selects the format; `urlink export --help` lists the formats.
             fields: Names, such as ``["q_actual", "joint_data.T_motor", "rtde.actual_q"]``, or one name as a string;
-                ``"q_actual_3"`` is one joint. None exports all fields; a .csv or .parquet file then contains the first
-                recorded table.
-            rate: Rows per second to resample to; None exports the packets as they were received.
+                ``"q_actual_3"`` is one joint. None exports all fields; for a .csv or .parquet file, None exports only
+                the first recorded table.
+            rate: Rate to resample to, in rows per second; None exports the packets as they were received.
             progress: Function that is called with the completed fraction, 0 to 1.
 
         Returns:
@@ -236,7 +236,7 @@ class Recording(StrictAttributes):
         return export(path, chosen(tables, fields, rate), progress, self._about(), writers)
 
     def plot(self, *fields: str, start: float = 0.0, end: float = float("inf")) -> Plot:
-        """Plot fields over time, one panel each. A notebook shows the plot; `Plot.save` writes it to a file.
+        """Plot fields over time, each in its own panel. A notebook shows the plot; `Plot.save` writes it to a file.
 
         Args:
             fields: Names of the fields, as for `export`.
@@ -258,7 +258,7 @@ class Recording(StrictAttributes):
             label = key if len(tables) == 1 else f"{name}.{key}"
             time, values = part.time, part[key]
             if part.begins and is_continuous(table.fields[key]):
-                # NaN interrupts the line while the connection was lost.
+                # A NaN value interrupts the line of the plot while the connection was lost.
                 time = np.insert(time, part.begins, time[part.begins])
                 values = np.insert(values, part.begins, np.nan, axis=0)
             curves.append(Curves(label, table.fields[key].unit, time, values))
@@ -266,7 +266,7 @@ class Recording(StrictAttributes):
         return Plot(curves, f"{self.path.name}  {who}".strip())
 
     def _about(self) -> dict[str, str]:
-        """Return the metadata of an exported file."""
+        """Return the metadata for an exported file."""
         said = {"robot": self.model, "firmware": self.firmware, "address": self._said("address")}
         records = np.flatnonzero(self._index.kind == Kind.BYTES)
         if len(records):
@@ -289,7 +289,7 @@ class Recording(StrictAttributes):
             found: dict[str, Topic] = {}
             for name, table in tables.items():
                 for topic in topics_of(name, table.between(start, stop), arm):
-                    found.setdefault(topic.name, topic)  # if several streams have a topic: the first
+                    found.setdefault(topic.name, topic)  # if several streams have this topic, keep the first
                 if isinstance(stream := self.tables[name], RobotStates):
                     said = stream.of(RobotMessage)
                     begin, end = np.searchsorted(said.time, [start, stop]).tolist()
@@ -301,7 +301,7 @@ class Recording(StrictAttributes):
     def _info(self, name: str) -> Mapping[str, Any]:
         if name not in self.channels:
             there = ", ".join(self.channels) or "nothing"
-            raise BadRecording(f"{self.path} holds no {name}; it holds {there}")
+            raise BadRecording(f"{self.path} has no channel {name!r}; its channels are: {there}")
         return self.channels[name]
 
     def _channel(
@@ -329,7 +329,7 @@ class Recording(StrictAttributes):
         return Table(f"{self.path.name} ({name})", columns, time, wall, begins, missing, clock)
 
     def _timed(self, records: Any) -> tuple[Any, Any]:
-        """Return the times of records by number: seconds since the start of the recording, and wall time."""
+        """Return two times for each record number: seconds since the start of the recording, and wall time."""
         index = self._index
         return (index.monotonic[records] - self._start) / 1e9, index.wall[records].astype("M8[ns]")
 
@@ -349,7 +349,7 @@ class Recording(StrictAttributes):
         return f"<Recording {self.path}: {streams} of {who}, {self.duration:.3f} s>"
 
     def _repr_html_(self) -> str:
-        from linkcore.text import html_table  # imported here: importing the package stays cheap
+        from linkcore.text import html_table  # imported here to keep the import of the package fast
 
         rows = [
             (

@@ -1,4 +1,4 @@
-"""Recorded robot states: the columns of their sub-packages, and the messages between them."""
+"""Recorded robot states as a table: the columns of their sub-packages, and the messages between the states."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ _CLASSES = {
     if kind is not UnknownSubPackage
 }
 
-#: Sub-packages that are only in the first state of a connection.
+#: Sub-packages that the controller sends only in the first state of a connection.
 _FIRST_ONLY = ("kinematics_info", "configuration_data")
 
-#: Function that converts numbers of records to their times, in s since the recording began, and their wall times.
+#: Function that converts record numbers to two arrays: times in s since the start of the recording, and wall times.
 Timed = Callable[[Any], tuple[Any, Any]]
 
 
 class RobotStates(Table):
-    """Table with a row for each robot state: ``run.primary["joint_data.q_actual"]``. Made by `Recording`.
+    """Table with a row for each robot state, for example ``run.primary["joint_data.q_actual"]``. Made by `Recording`.
 
-    Its columns are the columns of the sub-packages that every robot state has. `of`, and attributes such as
-    ``joint_data`` and ``tool_data``, return a table of one class with its own times.
+    The table has the columns of those sub-packages that every robot state contains. The method `of`, and attributes
+    such as ``joint_data`` and ``tool_data``, return a table of one class of packets with its own times.
 
     Attributes:
         messages: Robot messages and other packages, in order of arrival, with their stamps.
@@ -71,7 +71,7 @@ class RobotStates(Table):
 
     @property
     def robot_messages(self) -> list[State]:
-        """Robot messages in `messages`; they are the rows of ``of(RobotMessage)``."""
+        """Robot messages in `messages`. The table ``of(RobotMessage)`` has one row for each of them."""
         return [state for state in self.messages if isinstance(state, RobotMessage)]
 
     def of(self, kind: type[State]) -> Table:

@@ -1,10 +1,10 @@
-"""Recorded packets of a robot as ROS 2 messages, with the definitions of their types.
+"""Conversion of recorded packets to ROS 2 messages, with the definitions of the message types.
 
 Joint states, poses, twists, wrenches and logs have the standard types, which every viewer supports. In addition, each
-whole packet becomes a message, whose type is defined by the fields of its stream.
+complete packet becomes a message. The fields of its stream define the type of this message.
 
-`JointState.effort` contains the joint currents in A, as in the vendor's ROS driver. Poses, twists and wrenches are as
-the controller reports them: in the base frame, and wrenches about the TCP.
+`JointState.effort` contains the joint currents in A, as in the vendor's ROS driver. Poses, twists and wrenches are not
+converted: the controller reports them in the base frame, and wrenches about the TCP.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ _DEFINITIONS = {
     ),
 }
 
-#: Fields of the real-time interface and of RTDE with the same meaning.
+#: Names of the same quantity in the real-time interface and in RTDE.
 _POSITION, _VELOCITY, _CURRENT = ("q_actual", "actual_q"), ("qd_actual", "actual_qd"), ("I_actual", "actual_current")
 _TCP_POSE, _TCP_SPEED = ("tool_vector_actual", "actual_TCP_pose"), ("tcp_speed_actual", "actual_TCP_speed")
 _TCP_FORCE = ("tcp_force", "actual_TCP_force")
@@ -78,9 +78,9 @@ _LEVELS = {
 
 
 def topics_of(name: str, table: Table, arm: Arm | None) -> Iterator[Topic]:
-    """Yield the topics of a stream called `name` for which it has the fields. Fields with text are skipped.
+    """Yield the topics of the stream `name`. Topics without their fields in the table, and text fields, are skipped.
 
-    With the arm, `/tf` contains the frames of its links.
+    If `arm` is given, the topic `/tf` contains the frames of its links.
     """
     wall = table.wall
 
@@ -115,14 +115,17 @@ def topics_of(name: str, table: Table, arm: Arm | None) -> Iterator[Topic]:
 
 
 def _orientation(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return quaternions of poses; NaN for a NaN pose, as in rows resampled while the connection was lost."""
+    """Return the quaternions of poses; NaN for a NaN pose.
+
+    Resampled rows contain NaN poses for the time in which the connection was lost.
+    """
     quaternions = rotvec_to_quaternion(np.nan_to_num(poses[:, 3:]))
     quaternions[np.isnan(poses[:, 3:]).any(axis=1)] = np.nan
     return quaternions
 
 
 def log_topic(messages: Sequence[State], wall: NDArray[np.datetime64]) -> Topic:
-    """Return the messages of the controller as a log topic."""
+    """Return a log topic with the messages of the controller."""
     encoded = []
     for message, stamp in zip(messages, wall, strict=True):
         one = Message(1).stamp(np.array([stamp])).numbers(np.array([_level(message)], np.uint8))
@@ -133,7 +136,7 @@ def log_topic(messages: Sequence[State], wall: NDArray[np.datetime64]) -> Topic:
 
 
 def _level(message: State) -> int:
-    """Return the level, as `rcl_interfaces/msg/Log` numbers it."""
+    """Return the level of a message, as a number of `rcl_interfaces/msg/Log`."""
     if isinstance(message, RobotCommMessage):
         return _INFO if message.report_level is None else _LEVELS.get(message.report_level, _INFO)
     if isinstance(message, PopupMessage):
@@ -152,7 +155,7 @@ def _words(message: State) -> str:
 
 
 def description_topic(arm: Arm, wall: np.datetime64) -> Topic:
-    """Return a topic with the arm as URDF, in one message, for viewers that draw it."""
+    """Return a topic with one message, which contains the arm as URDF for viewers."""
     message = Message(1).text(to_urdf(arm, shapes=True))
     return _topic("/robot_description", "std_msgs/msg/String", np.array([wall]), message.encoded())
 

@@ -39,10 +39,13 @@ class Claims:
         transport: Transport of the connection.
         plan: Requests that are repeated after a reconnect.
         timeout: Maximum time until the controller answers a claim, in seconds.
+
+    Attributes:
+        connection: See the argument `connection`.
     """
 
     def __init__(self, connection: Connection, transport: RtdeTransport, plan: Requests, timeout: float) -> None:
-        self._connection = connection
+        self.connection = connection
         self._transport = transport
         self._plan = plan
         self._timeout = timeout
@@ -50,8 +53,8 @@ class Claims:
 
     @property
     def is_over(self) -> bool:
-        """Whether it was closed."""
-        return self._connection.is_over
+        """Whether these claims were closed."""
+        return self.connection.is_over
 
     def write(self, values: Mapping[str, Any]) -> None:
         """Write a set of inputs in one package, and claim the set first if necessary.
@@ -63,22 +66,22 @@ class Claims:
             RemoteError, Closed: If there is no connection, or no answer arrives in time.
         """
         self.claim(tuple(values))
-        self._connection.send(self._package(values), self._timeout)
+        self.connection.send(self._package(values), self._timeout)
 
     def put(self, values: Mapping[str, Any]) -> None:
         """Write a claimed set of inputs, without waiting.
 
         Raises:
             BadValue: If a variable cannot have this value. Nothing is sent.
-            ConnectionLost: If not connected, or if the controller does not read; in the second case the connection is
-                aborted.
-            Closed: If it was closed.
+            ConnectionLost: If there is no connection, or the controller does not read. In the second case, the
+                connection is aborted.
+            Closed: If these claims were closed.
         """
-        put_whole(self._connection, self._package(values))
+        put_whole(self.connection, self._package(values))
 
     def has(self, names: tuple[str, ...]) -> bool:
         """Whether this set is claimed on the current connection."""
-        return self._connection.state is ConnectionState.CONNECTED and names in self._plan.inputs
+        return self.connection.state is ConnectionState.CONNECTED and names in self._plan.inputs
 
     def claim(self, names: tuple[str, ...]) -> None:
         """Claim a set of inputs, unless it is claimed already.
@@ -86,21 +89,21 @@ class Claims:
         Raises:
             InputInUse, NoSuchVariable, RemoteError, Closed: See `write`.
         """
-        self._connection.start()
-        # `alone`, because a signal handler can run this while the interrupted main thread waits for a reply.
-        otherwise = f"{self._connection.name}: another claim was not answered within {self._timeout:g} s"
+        self.connection.start()
+        # `alone`, because a signal handler can run this while the interrupted main thread is waiting for a reply.
+        otherwise = f"{self.connection.name}: another claim was not answered within {self._timeout:g} s"
         with alone(self._lock, self._timeout, otherwise):
-            dialogue = dialogue_of(self._connection, self._transport)
+            dialogue = dialogue_of(self.connection, self._transport)
             if names in self._plan.inputs:
                 return
             recipe = self._claim(names)
             if self._transport.dialogue is not dialogue:
-                raise ConnectionLost(f"{self._connection.name}: the connection was lost while claiming {names}")
+                raise ConnectionLost(f"{self.connection.name}: the connection was lost while claiming {names}")
             dialogue.claims.append(recipe)
             self._plan.inputs.append(names)
 
     def _package(self, values: Mapping[str, Any]) -> bytes:
-        claims = dialogue_of(self._connection, self._transport).claims
+        claims = dialogue_of(self.connection, self._transport).claims
         recipe = claims[self._plan.inputs.index(tuple(values))]
         return recipe.encode(
             {name: checked(name, type, values[name]) for name, type in zip(recipe.names, recipe.types, strict=True)}
@@ -108,7 +111,7 @@ class Claims:
 
     def _claim(self, names: tuple[str, ...]) -> Recipe:
         until = clock.now() + self._timeout
-        connection = self._connection
+        connection = self.connection
         queue = connection.open_queue(InputsReply, block)
         reply = None
         try:
@@ -128,7 +131,7 @@ class Claims:
 
     def close(self, timeout: float) -> None:
         """Disconnect, which releases the inputs. Idempotent."""
-        self._connection.close(timeout)
+        self.connection.close(timeout)
 
 
 class BriefClaims:
@@ -159,14 +162,14 @@ class BriefClaims:
             LinkError: If RTDE is not available.
         """
         self._used = clock.now()
-        # In a signal handler, the holder of the lock waits for this call to end.
+        # In a signal handler, the interrupted thread might hold the lock, so waiting for the lock would never end.
         if is_mine(self._lock):
             return None
         with acquired(self._lock, CLAIM_TIMEOUT if wait else 0.0) as is_held:
             if not is_held:
                 return None
             claims = self._standing
-            if claims is not None and (claims.is_over or claims._connection.failure is not None):
+            if claims is not None and (claims.is_over or claims.connection.failure is not None):
                 claims = self._standing = None
             if wait:
                 if claims is None:
@@ -179,7 +182,7 @@ class BriefClaims:
     def _open(self, names: tuple[str, ...]) -> Claims:
         """Open a new connection, whose first claim has these names."""
         claims = self._connect(Requests(("timestamp",), _HEARTBEAT, inputs=[names]))
-        connection = claims._connection
+        connection = claims.connection
 
         def look(state: Outputs) -> None:
             if clock.now() - self._used > HOLD:
@@ -205,7 +208,7 @@ class BriefClaims:
         """Disconnect, and discard values that have not arrived."""
         standing, self._standing = self._standing, None
         if standing is not None:
-            standing._connection.abandon()
+            standing.connection.abandon()
 
     def close(self, timeout: float) -> None:
         """Release all inputs permanently. Idempotent."""

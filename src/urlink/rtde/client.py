@@ -106,14 +106,14 @@ class Rtde(StrictAttributes):
         Args:
             names: Names of the variables (`urlink.rtde.OUTPUTS` lists all known ones), or one class.
             frequency: Packages per second, 1 to 125 on CB3 and 1 to 500 on later controllers; None for the maximum. The
-                controller sends a package every n-th cycle, so the actual rate is at least this one, and at most twice
-                as high.
+                controller sends a package every n-th cycle, so the actual rate is at least `frequency`, and at most
+                twice as high.
             missing: Behaviour for a variable that the controller does not have: "error", or "leave_out". With
                 "leave_out", the variable reads as None and is listed in `OutputStream.left_out`.
 
         Returns:
-            The stream, which connects when it is first used. It is a context manager, which closes it. Without that, it
-            stays connected until the robot is closed.
+            The stream, which connects when it is first used. As a context manager, it is closed at the end of the
+            block. Otherwise it stays connected until the robot is closed.
 
         Raises:
             BadValue: If a name is invalid or given twice, the names exceed 2048 bytes, the controller does not support
@@ -127,7 +127,7 @@ class Rtde(StrictAttributes):
         optional: frozenset[str] = frozenset()
         if len(names) == 1 and isinstance(names[0], type):
             if not issubclass(names[0], Outputs) or names[0] is Outputs:
-                raise BadValue(f"{names[0]!r}; expected a class derived from urlink.rtde.Outputs")
+                raise BadValue(f"{names[0]!r} declares no variables; expected a class derived from urlink.rtde.Outputs")
             kind = names[0]
             wanted, optional = declared(kind)
         elif not names and self.is_recorded:
@@ -150,7 +150,9 @@ class Rtde(StrictAttributes):
         plan = recorded_plan(self._source.channel("rtde"), kind)
         lacking = [name for name in wanted if name not in plan.outputs and name not in optional]
         if lacking:
-            raise BadValue(f"{self._name} was recorded without {', '.join(lacking)}; it has {', '.join(plan.outputs)}")
+            raise BadValue(
+                f"{self._name} was recorded without {', '.join(lacking)}; it contains {', '.join(plan.outputs)}"
+            )
         connection = connection_of(f"{self._name} rtde", self._source.transport("rtde"), plan, self._source)
         return self._keep(OutputStream(connection, plan, None, lossless=self._source.is_lossless))
 

@@ -23,7 +23,7 @@ from ..protocol.rtde.transport import RtdeTransport
 
 
 class _Masked(NamedTuple):
-    """Mask variable, and the bits in it that make the controller apply a variable."""
+    """Mask of a variable, and the bits in the mask that make the controller apply the variable."""
 
     mask: str
     bits: int
@@ -137,7 +137,7 @@ class Inputs(StrictAttributes, Closing):
 
     @property
     def is_over(self) -> bool:
-        """Whether it was closed, or its connection has finally failed."""
+        """Whether this object was closed, or its connection has failed permanently."""
         return self._connection.is_over
 
     def send(self, /, **values: Any) -> None:
@@ -156,10 +156,10 @@ class Inputs(StrictAttributes, Closing):
         unknown = values.keys() - set(self.names)
         if unknown or not values:
             raise BadValue(
-                f"cannot send {', '.join(sorted(unknown)) or 'nothing'}; expected some of {', '.join(self.names)}"
+                f"cannot send {', '.join(sorted(unknown)) or 'nothing'}; expected one of {', '.join(self.names)}"
             )
         # One at a time, because concurrent packages would overwrite each other's changes. `alone`, because a signal
-        # handler can run this while the interrupted main thread sends.
+        # handler can run this while the interrupted main thread is sending.
         otherwise = f"{self._connection.name}: another package was not sent within {self._timeout:g} s"
         with alone(self._sending, self._timeout, otherwise):
             recipe = self._recipe()
@@ -245,7 +245,7 @@ def _bits(name: str, value: Any, all: int) -> tuple[int, int]:
     if not isinstance(value, Mapping):
         bits = checked(name, "UINT8", value)
         if bits & ~all:
-            raise BadValue(f"{name}={value!r}; expected bits of {all:#x}")
+            raise BadValue(f"{name}={value!r}; expected a number that sets only bits of {all:#x}")
         return all, bits
     mask = bits = 0
     for number, state in value.items():

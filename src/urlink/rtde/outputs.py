@@ -54,7 +54,7 @@ def _may_be_none(hint: Any) -> bool:
 def connection_of(name: str, transport: Transport, plan: Requests, source: Source) -> Connection:
     """Return a connection that sends the requests of the plan each time it connects.
 
-    It reconnects according to the settings of the source.
+    The connection reconnects according to the settings of the source.
     """
     silence = source.silence
     if silence is not None and plan.frequency is not None:
@@ -135,7 +135,7 @@ class OutputStream(Stream[T], Closing):
     def description(self) -> dict[str, Any]:
         """Connect if necessary, and return the recipe for the description of a recording.
 
-        A recording needs the recipe, because it can start after the controller has sent it.
+        The recipe is stored with a recording, because a recording can start after the controller has sent the recipe.
 
         Raises:
             RemoteError, LocalError, Closed: See `start`.

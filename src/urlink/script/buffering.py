@@ -69,7 +69,7 @@ MESSAGE, REPORTED = 23, 6
 POINT, CUT = 1, 3
 #: Phases: at rest with the epoch closed, moving through points, braking, and at rest with an epoch open.
 RESTING, MOVING, BRAKING, OPEN = 0, 1, 2, 3
-#: Parts of a rad. Chosen: as fine as 32 bits allow for three turns. Points may be a few milliseconds apart, where one
+#: Parts of a rad. Chosen: as fine as 32 bits allow for three turns. Points might be a few milliseconds apart, where one
 #: part of a microradian would be a jolt of several rad/s².
 FINE = 100_000_000
 #: Braking time T that keeps every acceleration within A, divided by |v| / A.

@@ -31,13 +31,13 @@ BAUD_RATES = (9600, 19200, 38400, 57600, 115200, 1_000_000, 2_000_000, 5_000_000
 
 _TARGET_PAYLOAD = Since("5.10")
 
-#: Longest plausible transition, in s. Plausible lengths of gravity, in m/s²; others have another unit. Chosen: a moving
-#: base has a smaller acceleration.
+#: Longest plausible transition, in s. Smallest and largest plausible gravity, in m/s²; any other value is in another
+#: unit. Chosen, because the acceleration of a moving base is too small to leave this range.
 _LONGEST_TRANSITION, _GRAVITIES = 60.0, (5.0, 15.0)
 #: Mass in kg that no arm can lift. It distinguishes kilograms from grams.
 _HEAVIEST = 100.0
 
-#: Prefix of the message that announces a movement of a path, before its number.
+#: Prefix of the message that announces a movement of a path; the number of the movement follows.
 _SEGMENT = "urlink: segment "
 
 
@@ -140,7 +140,7 @@ class DigitalBank(NamedTuple):
         name: Name used in messages and in URScript function names.
         size: Number of inputs or outputs.
         first: Bit of the first one in the robot state, on CB3 and e-Series.
-        first_of_cb2: The same on CB2, where it is also the number in the function call; None if CB2 has none.
+        first_of_cb2: Bit of the first one on CB2, which is also its number in the function call; None if CB2 has none.
     """
 
     name: str
@@ -201,7 +201,7 @@ def tool_communication(
     """Configure the serial line of the tool connector. The ranges are from the vendor's script manual.
 
     Raises:
-        BadValue: If the line cannot have a value.
+        BadValue: If the serial line does not support a value.
     """
     if baud_rate not in BAUD_RATES:
         raise BadValue(f"baud_rate is {baud_rate!r}; expected one of {', '.join(map(str, BAUD_RATES))}")
@@ -222,7 +222,7 @@ def tool_voltage(volts: int) -> str:
     """Set the supply voltage of the tool to 0, 12 or 24 V.
 
     Raises:
-        BadValue: If it is another voltage.
+        BadValue: If `volts` is another voltage.
     """
     if isinstance(volts, bool) or volts not in (0, 12, 24):
         raise BadValue(f"tool voltage is {volts!r}; expected 0, 12 or 24")
@@ -276,12 +276,12 @@ def gravity(acceleration: Sequence[float]) -> str:
     """Set the acceleration that an arm at rest measures, shape (3,), in m/s², in the base frame.
 
     Raises:
-        BadValue: If it is not three numbers, or its length is not plausible for gravity.
+        BadValue: If `acceleration` is not three numbers, or its length is not plausible for gravity.
     """
     components = floats(acceleration, 3, "gravity")
     length = math.hypot(*components)
     if not _GRAVITIES[0] <= length <= _GRAVITIES[1]:
-        raise BadValue(f"gravity is {length:g} m/s² long; expected {_GRAVITIES[0]:g} to {_GRAVITIES[1]:g}")
+        raise BadValue(f"gravity is {length:g} m/s²; expected {_GRAVITIES[0]:g} to {_GRAVITIES[1]:g} m/s²")
     return f"set_gravity({vector(components, 3)})"
 
 
@@ -289,7 +289,7 @@ def tcp(offset: Sequence[float]) -> str:
     """Set the tool centre point to a pose in the flange frame.
 
     Raises:
-        BadValue: If it is not six finite numbers.
+        BadValue: If `offset` is not six finite numbers.
     """
     return f"set_tcp({pose(offset, 'tcp')})"
 

@@ -18,14 +18,14 @@ from ..protocol.firmware import Firmware
 from .links import BRAKE, InputRegisters, ReverseSocket, message_loop, missable
 from .text import each, indented, lines, number, pose, quoted, vector
 
-#: Messages at the end of a movement to a contact. The first one is followed by the joint positions.
+#: Messages at the end of a movement to a contact. The joint positions follow the first one.
 CONTACT = "urlink: contact "
 NO_CONTACT = "urlink: no contact"
 
 
 @dataclass(frozen=True)
 class Pressing:
-    """Parameters of force mode that are set once, when it begins.
+    """Parameters that are set once, when force mode begins.
 
     Attributes:
         frame: Pose in the base frame, shape (6,).

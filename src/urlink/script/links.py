@@ -10,8 +10,8 @@ counted from the first state of the motion. URScript cannot read that clock on e
 counts its own cycles, and keeps the smallest difference between its count and a date, which belongs to the fastest
 message. A set-point is ignored if its difference is larger by more than the watchdog's cycles. Set-points queued in
 the socket while the controller hung are therefore followed for at most one watchdog time. A pass through the loop
-takes at least one cycle, so the program never counts faster than the controller's clock, and counting by itself never
-makes a message seem too old.
+takes at least one cycle, so the program never counts faster than the controller's clock, and counting alone never makes
+a message seem too old.
 
 With a `ReverseSocket`, the program connects back to this computer, as programs of public drivers do. It sends a token
 that only its text contains, so that another peer that finds the port is not mistaken for the robot. The result of
@@ -20,7 +20,7 @@ seconds without a message, or when the connection is lost. With `InputRegisters`
 instead.
 
 Assignments in a thread or a nested function change the variables of the enclosing program; programs of public drivers
-rely on this. No program here needs ``global`` or ``local``, which the oldest firmware may not have. Lists are written
+rely on this. No program here needs ``global`` or ``local``, which the oldest firmware might not have. Lists are written
 element by element, because arithmetic on whole lists came late.
 
 The last ``textmsg`` of such a program shows why it ended early: `NO_CONNECTION`, `LINK_ENDED`, `STARVED` or `TOO_FAR`.
@@ -130,8 +130,8 @@ def message_loop(
         late: Code for cycle number ``missed`` without a message; it must take one cycle.
         end: Code to run last, even if no message has arrived for too long.
         watchdog: Maximum time without a message, in seconds; then the program ends.
-        most_missed: Maximum number of rounds without a message; then the program sends `STARVED` and ends. It is also
-            the maximum delay of a message, in rounds, compared with the fastest one.
+        most_missed: Maximum number of rounds without a message; then the program sends `STARVED` and ends. This number
+            is also the maximum delay of a message, in rounds, compared with the fastest message.
         guard: Code for each round. If it sets ``held`` to True, messages from before the next pause are ignored.
     """
     if isinstance(link, ReverseSocket):
@@ -225,9 +225,9 @@ _TAKE_SHARED = """
 def _over_socket(link: ReverseSocket, firmware: Firmware, watchdog: float) -> str:
     """Return code that connects and passes on messages until the link ends.
 
-    A read that has timed out after `_READ` s is repeated until the watchdog's time has passed. A read that returns
-    sooner without a message means that the connection is closed; this holds for the simulator. How soon the read
-    returns on a real controller is unknown. If it takes as long there, the watchdog ends the program.
+    A read that has timed out after `_READ` s is repeated until the watchdog's time has passed. If a read returns sooner
+    without a message, the connection is closed; this holds for the simulator. How soon such a read returns on a real
+    controller is unknown. If it takes `_READ` s there too, the watchdog ends the program.
     """
     most_silent, waited = int(watchdog / _READ) + 1, round(firmware.rate * _READ / 2)
     return f"""
@@ -300,8 +300,8 @@ def _take_registers(link: InputRegisters) -> str:
 def over_registers(at: int, message: int, token: int, follow: str, firmware: Firmware, watchdog: float) -> str:
     """Return code that waits for the token, for a limited time, and then follows the registers.
 
-    The controller's own watchdog on the registers ends the program if this program cannot. It is set one second longer,
-    so that the arm comes to rest first.
+    If the program cannot end itself, the controller's own watchdog on the registers ends it. The time of that watchdog
+    is one second longer, so that the arm comes to rest first.
 
     Args:
         at: Number of the register with the token.

@@ -1,9 +1,9 @@
 """Programs for impedance control: springs and dampers between the arm and an aim, computed by the robot in each cycle.
 
-Their text is in files next to this module, for readers who want to know what runs on the robot. `springs.script`, with
-`springs_of_joints.script` or `springs_of_tool.script`, computes torques for ``direct_torque``. `admittance.script` is
-for arms that have only a force sensor. In each, `aim.script` follows the targets, and `tool.script` computes the place
-of the tool. The text is put into a message loop (`links.message_loop`).
+The text of the programs is in files next to this module, so that you can read what runs on the robot. `springs.script`,
+with `springs_of_joints.script` or `springs_of_tool.script`, computes torques for ``direct_torque``. `admittance.script`
+is for arms that have only a force sensor. In each, `aim.script` follows the targets, and `tool.script` computes the
+place of the tool. The text is inserted into a message loop (`links.message_loop`).
 
 A message contains the target and its number, which identifies a new target and is 0 before the first one. If the
 command is `GAINS`, the message contains the stiffness of each axis in thousands, and its damping ratio. If it is
@@ -24,15 +24,16 @@ from .text import indented, number, vector
 
 #: Commands in addition to `STOP`, `FOLLOW` and `WAIT`: set the gains, or the posture.
 GAINS, POSTURE = -1, -2
-#: Fractions of the largest speed: from the first one, a joint is braked; the second one is the maximum for the aim.
+#: Fractions of the largest speed: above the first one, a joint is braked; the second one is the maximum for the aim.
 TOP, _RAMP = 0.9, 0.7
 #: Maximum duration of the movement to a new target, in s, if the joints may be that fast.
 _LONGEST = 0.25
 #: Rate of the critically damped second-order filter that makes the aim follow its ramp, in 1/s.
 _ROUNDING = 40.0
-#: Time, in s, for two thirds of a change of the gains.
+#: Time, in s, after which two thirds of a change of the gains have taken effect.
 _BLENDING = 0.1
-#: Movement in one cycle, in rad, summed over all joints, that no arm can reach: a person has moved it during a pause.
+#: Movement in one cycle, in rad, summed over all joints, that no arm can reach on its own. If an arm has moved further,
+#: a person has moved it during a pause.
 _MOVED = 0.03
 #: Maximum speed of a joint towards the end of its range, per distance, in 1/s; distance that is always kept, in rad.
 _APPROACH, MARGIN = 5.0, 0.02
@@ -192,7 +193,7 @@ def _led(
     brake: str,
     watchdog: float,
 ) -> list[str]:
-    """Return a program that executes `call` in each cycle, while messages move its aim; then it releases and brakes.
+    """Return a program that executes `call` in each cycle while messages move its aim; then it releases the springs.
 
     Args:
         received: Branch for messages of another kind.

@@ -67,7 +67,7 @@ def streaming(
         easing = _eased(firmware)
         move = f"moved = [{each('eased(aim[{i}], q[{i}], pace[{i}], moved[{i}], {way})', ways)}]"
         move += f"\nq = [{each('q[{i}] + moved[{i}]')}]"
-        # The first set-point may also be one of several that arrive at once.
+        # The first set-point might be one of several that arrive at once.
         begin = f"if not begun:\n  q = get_actual_joint_positions()\nend\npace = step\n{move}"
         coast = f"pace = [{each('step[{i}] * share')}]\n{move}"
     else:
@@ -162,8 +162,8 @@ def _eased(firmware: Firmware) -> str:
 def found_elsewhere(firmware: Firmware) -> str:
     """Return code that sets ``elsewhere``: whether the arm, ``here``, is at rest at a new place.
 
-    The place is new if the arm was somewhere else in the previous round, further away than its speed then explains.
-    Only a pause explains this: the controller has braked the arm, and a person may have moved it.
+    The place is new if the arm has moved further since the previous round than its speed at that time explains. Only a
+    pause explains this: the controller has braked the arm, and a person might have moved it.
     """
     way = _length("(here[{i}] - last_here[{i}])")
     return f"""

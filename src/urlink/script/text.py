@@ -32,7 +32,7 @@ def boolean(value: object, what: str = "value") -> str:
     """Format a boolean as ``True`` or ``False``.
 
     Raises:
-        BadValue: If it is neither.
+        BadValue: If `value` is neither True nor False.
     """
     # Booleans of numpy are not of type bool.
     if isinstance(value, bool) or type(value).__name__ in ("bool_", "bool"):
@@ -134,7 +134,7 @@ def identifier(name: object, what: str = "name") -> str:
     """Check and return a name: letters, digits and underscores, not beginning with a digit.
 
     Raises:
-        BadValue: If it is not a name, or a keyword of URScript.
+        BadValue: If `name` is not a valid name, or is a keyword of URScript.
     """
     if not isinstance(name, str) or not _IDENTIFIER.match(name) or name in KEYWORDS:
         raise BadValue(f"{what} is {name!r}; expected letters, digits and underscores, but no URScript keyword")

@@ -3,7 +3,7 @@
 It requests a point by sending its number as a line of text. The answer is a list of floats in brackets. The line `BEAT`
 asks whether to continue, and the answer is ``(1)``. The line `ARRIVED` reports that the last point is reached. If the
 arm was moved during a pause, it stays where it is. `HELD` then asks how many seconds of the path have passed at that
-place; for example, ``(1.1)`` means 0.1. See `urlink.script.links` for what it has in common with other programs.
+place; for example, ``(1.1)`` means 0.1. `urlink.script.links` describes the parts that all such programs share.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ _HEARTBEAT = 0.25
 
 
 def numbers_of_point(is_quintic: bool) -> int:
-    """Return the count of numbers in an answer.
+    """Return how many numbers an answer has.
 
-    An answer contains its own number, positions, velocities, accelerations if it is quintic, and the seconds since the
-    last waypoint.
+    An answer has the number of its point, positions, velocities, accelerations if `is_quintic`, and the seconds since
+    the previous waypoint.
     """
     return 20 if is_quintic else 14
 
@@ -54,7 +54,7 @@ def interpolating(
 ) -> list[str]:
     """Request waypoints one after the other and interpolate between them; for 3.x and later.
 
-    One waypoint is in transit to the robot while it moves to the previous waypoint.
+    While the robot moves to a waypoint, the next waypoint is already in transit to the robot.
 
     Args:
         host: Address of this computer for the robot.

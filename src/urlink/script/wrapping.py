@@ -3,19 +3,19 @@
 A program itself reports that it begins and that it has reached its end: its first and last statements are a `textmsg`.
 The user's source is between them, as a function that is called. Its own `return` is therefore also an end, while `halt`
 and a stop by another client are not. Programs of public drivers show that a function can be defined within a program,
-and threads and functions within that function. How deep the nesting may be is unknown.
+and threads and functions within that function. How deep the nesting might be is unknown.
 
-The controller may read a text long after it was sent, because the network or the controller itself was delayed. By then
-the program may no longer be wanted. Therefore a program that might move the arm first asks for permission
+The controller might read a text long after it was sent, because the network or the controller itself was delayed. By
+then the program might no longer be wanted. Therefore a program that might move the arm first asks for permission
 (`Permission`). It clears the `StartPlace`, reports that it begins, and waits, cycle by cycle and for a limited time,
 until its own token is written there. The sender answers with a `sec` that writes this token, but only if the program is
 still wanted. Without an answer, the program ends, and the arm has not moved. Each program has a unique token, because
-several clients may send programs to one controller. The permission for one program must not start the program of
-another client, which may no longer exist.
+several clients might send programs to one controller. The permission for one program must not start the program of
+another client, which might no longer exist.
 
-The place is an integer output register (a token of 31 bits) if programs have the upper range of registers, which no
-fieldbus uses: since 3.9 and 5.3 (docs/protocols/rtde.md, Releases). It is documented that one program can read there
-what another program has written: output registers are in the memory of the system, and programs can read them. Older
+The place is an integer output register (with a 31-bit token) if programs have the upper range of registers, which no
+fieldbus uses: since 3.9 and 5.3 (docs/protocols/rtde.md, Releases). According to the documentation, one program can
+read what another program has written there: output registers are in the memory of the system. Older
 firmware has flags of one bit each, which public drivers set with a `sec` (docs/protocols/urscript.md, Flags). A `sec`
 is executed within one cycle of the controller, so no program sees a part of a token (script manual, "Secondary
 Programs"). How long a real controller takes from the `textmsg` to the `sec` is unknown.
@@ -123,15 +123,15 @@ class Wrapped(NamedTuple):
     permission: Permission | None
 
     def place(self, line: int, column: int) -> tuple[int, int]:
-        """Convert a line and column of the sent text to those of the user's source."""
+        """Convert a line and column of the sent text to the line and column of the user's source."""
         own = line - (self.first if line == 1 else self.above)
         return min(max(own, 1), self.lines), max(column - self.indent, 1)
 
     def words(self, text: str) -> str:
         """Return the controller's error text, with a line number in it converted as by `place`.
 
-        The controller finds a program that ends in the middle of a statement wrong in the line after it. That line does
-        not belong to the user, so it is not quoted.
+        If a program ends in the middle of a statement, the controller reports the error in the next line. That line was
+        not written by the user, so it is not quoted.
         """
         found = _NUMBER_IN_TEXT.match(text)
         if found is None:
@@ -255,7 +255,7 @@ def _program(name: str, lines: list[str], last: str, permission: Permission | No
 
 
 def _asking(name: str, begin: list[str], permission: Permission) -> list[str]:
-    """Return `begin`, followed by the wait for the answer, which restarts if another program's token is found."""
+    """Return `begin` and a wait for the permission; the wait restarts if another program's token is found."""
     place = permission.place
     begin = [*place.writing(0), *begin]
     is_permitted = place.holds(permission.token)
@@ -309,7 +309,7 @@ def _kind(items: list[_Item]) -> Literal["def", "sec", "body"]:
         raise BadValue("the program is empty")
     if "sec" in words:
         if len(words) > 1:
-            raise BadValue("a sec must be sent alone, because it runs in addition to the program, not within it")
+            raise BadValue("a sec must be sent alone, because it runs in addition to the program, not as a part of it")
         return "sec"
     spoken = [word for word in words if word != "thread"]
     return "def" if spoken[-1:] == ["def"] else "body"
@@ -329,8 +329,8 @@ def _called(line: str, number: int) -> str:
 def _check_used(lines: list[str], others: Sequence[_Item], called: str) -> None:
     """Check that the functions above the called one are not all separate programs.
 
-    A function that is not used is legal, as in a collection of helpers. But if none of them is used, the source is
-    several programs, of which only the last would run.
+    A function that is not used is legal, as in a collection of helper functions. But if none of the functions is used,
+    the source consists of several programs, of which only the last would run.
 
     Raises:
         BadValue: If none of these functions is mentioned outside of itself.
@@ -368,7 +368,7 @@ def _items(lines: list[str]) -> list[_Item]:
             if word != "end":
                 opened.append((word, number))
             elif not opened:
-                raise BadValue(f"line {number + 1} of the program: an `end` has no block")
+                raise BadValue(f"line {number + 1} of the program: this `end` closes no block")
             else:
                 opened.pop()
                 if not opened:

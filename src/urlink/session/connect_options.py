@@ -97,9 +97,10 @@ def _each_once(flags: Collection[int]) -> tuple[int, ...]:
 
 
 def _taking(options: Callable[P, ConnectOptions]) -> Callable[[Callable[[ConnectOptions], T]], Callable[P, T]]:
-    """Return a decorator that gives a function of the options the arguments of the options instead.
+    """Return a decorator for a function with one argument, the options.
 
-    Type checkers and `inspect.signature` see these arguments.
+    The decorated function takes the arguments of the options instead, and makes the options from them. Type checkers
+    and `inspect.signature` show these arguments.
     """
 
     def taking(function: Callable[[ConnectOptions], T]) -> Callable[P, T]:
@@ -108,7 +109,7 @@ def _taking(options: Callable[P, ConnectOptions]) -> Callable[[Callable[[Connect
 
         @functools.wraps(function)
         def taken(*arguments: P.args, **named: P.kwargs) -> T:
-            signature.bind(*arguments, **named)  # its TypeError does not name the class of the options
+            signature.bind(*arguments, **named)  # if this raises TypeError, the message names no internal class
             try:
                 return function(options(*arguments, **named))
             except RemoteError as error:

@@ -82,7 +82,7 @@ class Identity:
     def description(self) -> dict[str, Any]:
         """Return the identity as a recording stores it, as values that JSON supports.
 
-        A recording needs it, because it rarely contains the first state, which has the identity too.
+        A recording stores the identity separately, because it rarely contains the first state, which has the identity.
         """
         said: dict[str, Any] = {"firmware": str(self.firmware), "model": self.model}
         if self.dh_table is not None:
@@ -128,23 +128,24 @@ class KnownIdentity:
 
     def __init__(self, ask: Callable[[], Identity], known: Identity | None = None) -> None:
         self._ask = ask
-        self._doubts = self._answered = 0
+        # A new mark for each doubt. Counting would lose one of two reconnects that two threads record at once.
+        self._doubt = self._answered = object()
         self.last = ask() if known is None else known
 
     def doubt(self) -> None:
         """Record a reconnect, after which the controller might be another one."""
-        self._doubts += 1
+        self._doubt = object()
 
     @property
     def identity(self) -> Identity:
-        """Identity of the controller, read again if there was a reconnect.
+        """Identity of the controller, which is read again after a reconnect.
 
         Raises:
             RemoteError: If the identity must be read, and the controller does not answer.
         """
-        if (doubts := self._doubts) != self._answered:
+        if (doubt := self._doubt) is not self._answered:
             self.last = self._ask()
-            self._answered = doubts  # a reconnect during the call stays recorded
+            self._answered = doubt  # a reconnect during the call stays recorded
         return self.last
 
 
@@ -199,7 +200,7 @@ class Introduction:
 
     @property
     def is_over(self) -> bool:
-        """Whether no more packets are needed or expected, or the time has expired."""
+        """Whether no more packets are needed, no more can arrive, or the time has expired."""
         firmware = self._protocol.firmware
         is_told = firmware is not None and (self._configuration is not None or _says_no_more(firmware, self._state))
         return is_told or self._lost is not None or not self.left

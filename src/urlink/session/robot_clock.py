@@ -43,13 +43,13 @@ class RobotClock(StrictAttributes):
 
     @property
     def offset(self) -> float:
-        """Current lead of the controller's clock over this computer's clock, in seconds."""
+        """Current time of the controller's clock minus the current time of this computer's clock, in seconds."""
         now = clock.now()
         return self.to_controller(now) - now
 
     @property
     def drift(self) -> float:
-        """Relative excess rate of the controller's clock over this computer's clock: 1e-4 is 100 ppm."""
+        """Relative rate by which the controller's clock is faster than this computer's clock: 1e-4 is 100 ppm."""
         return -self._relation().slope / (1.0 + self._relation().slope)
 
     @property
@@ -66,7 +66,7 @@ class RobotClock(StrictAttributes):
 
     @property
     def restarts(self) -> int:
-        """Number of times that the controller's clock was reset, as it is when the controller restarts."""
+        """Number of times that the controller's clock was reset, for example because the controller restarted."""
         return self._peer.restarts
 
     @property

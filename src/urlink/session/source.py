@@ -39,7 +39,7 @@ class Source(NamedTuple):
         backoff: Waiting times between attempts to reconnect; None for the default.
         timeout: Maximum time to make a connection, in seconds.
         silence: Maximum time without a packet, in seconds; then the connection counts as lost. None for no limit.
-        is_lossless: Whether the source waits for consumers that set no policy.
+        is_lossless: Whether the source waits for a consumer without a policy, instead of dropping packets.
         channel: Function that returns the description of a recorded interface; None if this is not a recording.
         connection: Class or function that makes a `Connection`, with the same arguments.
         rtde: Function that makes the transport of an RTDE connection; None for the default.

@@ -1,4 +1,4 @@
-"""A controller in software: the arm, its programs and its servers.
+"""Simulated controller: the arm, its programs and its servers.
 
 Users need the class `Controller`; see `urlink.simulator.controller`.
 """

@@ -1,10 +1,10 @@
-"""Advance a simulated controller in time, in cycles of 8 ms (CB) or 2 ms (e-Series).
+"""Control loop of a simulated controller, in cycles of 8 ms (CB) or 2 ms (e-Series).
 
     due faults -> programs -> their set-point -> arm -> modes -> messages about them
 
-A cycle needs no thread, clock or socket. The owner of the controller decides when a cycle ends: a test calls `step`, or
-the server's thread follows the clock. The same programs and faults in the same cycles give the same result to the last
-bit.
+The line above shows the order of the work in one cycle. A cycle needs no thread, clock or socket. A cycle is executed
+when a test calls `step`, or when the clock of the server's thread reaches the next cycle. If the same programs and
+faults arrive in the same cycles, the result is the same to the last bit.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from .state import ControllerState
 
 
 class ControlLoop:
-    """Advances the state of one controller.
+    """Control loop that advances the state of one controller.
 
     Args:
         state: State of the controller.
@@ -41,8 +41,8 @@ class ControlLoop:
     def next_event(self, cycle: int) -> int | None:
         """Return the first cycle after this one that must run on time; None if there is none.
 
-        While a program runs, the controller is down or there is a scene, every cycle must run on time. Otherwise only
-        the next cycle with a scheduled fault must.
+        Every cycle must run on time while a program runs, while the controller is down, or if there is a scene.
+        Otherwise only the next cycle with a scheduled fault must run on time.
         """
         if self._runner.is_running or not self._state.is_up or self._state.surroundings.scene is not None:
             return cycle + 1
@@ -72,12 +72,12 @@ class ControlLoop:
                 state.outbox.put(message)
 
 
-#: Robot time, in s, that `passing` advances at once. After these packets, the bytes from clients are read.
+#: Robot time, in s, by which `passing` advances at once. Bytes from clients are read after each advance.
 _SLICE = 0.01
 
 
 class SteppedClock:
-    """Clock, in seconds, that advances only when `advance` is called.
+    """Clock that advances only when `advance` is called; it returns seconds.
 
     Args:
         rate: Cycles per second of the controller.
@@ -88,7 +88,7 @@ class SteppedClock:
         self._cycles = 0
 
     def __call__(self) -> float:
-        # Return the middle of a cycle, so that rounding never counts one cycle too few.
+        # Return the time in the middle of a cycle. At the boundary, rounding might count one cycle too few.
         return (self._cycles + 0.5) / self._rate if self._cycles else 0.0
 
     def advance(self, cycles: int) -> None:
@@ -98,12 +98,13 @@ class SteppedClock:
 
 @contextlib.contextmanager
 def passing(step: Callable[[int], object], rate: int, speed: float) -> Iterator[None]:
-    """Let time pass, in a thread, until the block is left.
+    """Advance the robot's time in a thread until the block ends.
 
     Args:
         step: Function that advances by a number of cycles.
         rate: Cycles per second.
-        speed: Factor of real time; time passes more slowly if the machine is too slow.
+        speed: Speed of the robot's time relative to real time, so 2.0 is twice real time. The robot's time passes more
+            slowly if this computer is too slow.
     """
     speed = check_seconds(speed, "speed", positive=True, finite=True)
     over = threading.Event()
@@ -112,7 +113,8 @@ def passing(step: Callable[[int], object], rate: int, speed: float) -> Iterator[
     def run() -> None:
         due = clock.now()
         while not clock.wait(over.wait, due - clock.now()):
-            # The serving thread might get no processor time for seconds. Robot time then pauses, and continues later.
+            # The server's thread might get no processor time for seconds. The robot's time then pauses, and continues
+            # later.
             with contextlib.suppress(LinkTimeout):
                 step(cycles)
             due = max(due + cycles / rate / speed, clock.now() - 1.0)

@@ -1,4 +1,4 @@
-"""`Controller`: connects state, programs, faults and interfaces, and serves or steps them."""
+"""Class `Controller`: connects state, programs, faults and interfaces. It serves them over TCP, or steps them."""
 
 from __future__ import annotations
 
@@ -60,27 +60,27 @@ _NEWEST_CB3 = [row.since for row in RELEASES if row.since.major == 3][-1]
 
 # Addresses that a server can listen on, but that a client cannot connect to.
 _ALL_ADDRESSES = ("", "0.0.0.0", "::")
-# Addresses from which the operating system connects to loopback addresses.
+# Source addresses that the operating system uses for connections to loopback addresses.
 _FIRST_LOOPBACK = ("127.0.0.1", "::1")
 # Port number of a real controller -> name of the port.
 _NAMES = {number: name for name, number in PORTS.items()}
-#: Maximum number of kept client lines, and of kept robot messages of a stepped controller.
+#: Maximum numbers of stored items: lines from clients, and robot messages of a stepped controller.
 RECEIVED, KEPT_MESSAGES = 1000, 10_000
 
 
 class Controller(StrictAttributes):
-    """A robot controller in software, with the interfaces of a real one.
+    """Simulated robot controller, with the interfaces of a real controller.
 
-    It serves the primary, secondary and real-time interfaces, RTDE, and the dashboard (or the Robot API of PolyScope
-    X). It runs the URScript that clients send.
+    The controller serves the primary, secondary and real-time interfaces, RTDE, and the dashboard (or the Robot API of
+    PolyScope X). It runs the URScript programs that clients send.
 
-    As a context manager, it serves its ports from a dedicated thread::
+    As a context manager, the controller serves its ports from a dedicated thread::
 
         with Controller("UR5e", "5.11") as controller:
             print(controller.host, controller.ports["realtime"])
 
-    Until it is started, it has no thread and no socket, and `step` advances it cycle by cycle. Everything is then the
-    same for the same seed, to the last byte.
+    Until `start` is called, the controller has no thread and no socket, and `step` advances it cycle by cycle. Two runs
+    with the same seed and the same steps then give the same bytes.
 
     Args:
         model: Name of the arm, such as `"UR10"`. None selects a UR5e, or a UR5 if the firmware is older than 5.0.
@@ -88,8 +88,8 @@ class Controller(StrictAttributes):
         host: Address to listen on. `""` means every IPv4 address of this computer; `"::"` means every IPv4 and IPv6
             address.
         ports: Ports to serve. `"free"` selects free ports. `"standard"` selects the ports of a real controller with
-            this firmware; port 80, for the Robot API of PolyScope X, might need special rights. A mapping assigns
-            numbers to names in `PORTS`, 0 for a free port; ports that it does not contain are not served.
+            this firmware; port 80, for the Robot API of PolyScope X, might need special rights. A mapping assigns port
+            numbers to names in `PORTS`; 0 selects a free port. Ports that the mapping does not contain are not served.
         seed: Seed of the sensor noise and of random garbage.
         noise: Whether the sensors have noise, offsets and drift, like those of real arms. Without them, the actual
             joint positions of an arm at rest equal its targets, and the force of an empty tool is 0.
@@ -102,34 +102,38 @@ class Controller(StrictAttributes):
         files: Programs that are saved on the pendant: path -> URScript.
         reachable: Numeric addresses, other than this computer, to which programs may open sockets. The addresses of
             connected clients are always allowed.
-        calibration: DH parameters of the arm. The arm moves according to them, and the controller sends them. None
-            selects the published parameters.
-        gripper: Whether a Robotiq gripper is mounted and its URCap serves it.
-        stepped: Whether time passes only in `step` and within `passing`, even while the ports are served. Use it for
-            tests that need the robot at a certain moment.
-        scaling: Behaviour of the speed scaling of programs, for behaviour that is unknown or that you want to vary.
+        calibration: DH parameters of the arm. The arm moves according to these parameters, and the controller sends
+            them to clients. None selects the published parameters.
+        gripper: Whether a Robotiq gripper is mounted, and its URCap is installed.
+        stepped: Whether time passes only in `step` and within `passing`, even while the ports are served. Use this for
+            tests that examine the robot at a certain moment.
+        scaling: Parameters of the speed scaling of programs. Some of them are not known for real controllers; set them
+            to test other values.
         zeroes_force: Whether the start of a program zeroes the force sensor, default False. An engineer of the vendor
             states that it does (not verified: the log of a UR3e contradicts it).
-        like: Identified properties of an arm for the simulated arm, as far as the recording shows them. They are model,
-            calibration, TCP and payload, motors, lag, noise, and the ramp of programs.
-        scene: File with bodies around the arm. The adapter for its suffix opens it, such as urlink-mujoco for `.xml`.
+        like: Arm file with identified properties of a real arm, which the simulated arm takes over. They are model,
+            calibration, TCP and payload, motors, lag, noise, and the ramp of programs. Properties that were not
+            identified keep their defaults.
+        scene: File with the bodies around the arm. The adapter for the suffix of this file opens it, such as
+            urlink-mujoco for `.xml`.
 
     Attributes:
         host: Address that the controller listens on.
         faults: Faults that can be caused on demand.
         pendant: Teach pendant: its saved programs, its display and its buttons.
         received: Latest lines that clients sent, as (name of the interface, line of text).
-        rtde: RTDE interface. It makes connections for a stepped controller, and reports which client holds an input.
-        dashboard: Dashboard interface, which answers the lines of its clients.
+        rtde: RTDE interface. Use it to connect a client without a socket, and to list the current connections.
+        dashboard: Dashboard interface, which replies to the lines of its clients.
         robot_api: Robot API, which answers the HTTP requests of PolyScope X and holds the operational mode.
-        tool_serial: Serial line in the tool connector. Its `device` is the gripper (Modbus RTU) unless it is set.
+        tool_serial: Serial line in the tool connector. Its attribute `device` is initially the gripper (Modbus RTU),
+            and can be set.
 
     Raises:
         UnknownModel: If there is no such arm.
         BadVersion: If there is no such firmware.
-        BadValue: If the firmware does not run on the model, or `model` differs from the model of `like`. If the
-            calibration belongs to another kind of arm, `ports` has none of the forms above, or an address in
-            `reachable` is not numeric. If the file `scene` does not exist.
+        BadValue: If the firmware does not run on the model, `model` differs from the model of `like`, the calibration
+            belongs to another kind of arm, or `ports` has none of the forms above. If an address in `reachable` is not
+            numeric, or the file `scene` does not exist.
         LocalError: If no adapter for the suffix of `scene` is installed, or the adapter cannot open the file.
     """
 
@@ -176,7 +180,7 @@ class Controller(StrictAttributes):
         self._server: Server | None = None
         self._stepped = SteppedClock(chosen.rate) if stepped else None
         self._clock: Callable[[], float] = self._stepped or clock.now
-        # Robot messages of the stepped cycles, until they are taken.
+        # Robot messages of stepped cycles that `take_messages` has not returned yet.
         self._messages: deque[bytes] = deque()
         source = motion or Still()
         self._state = state = ControllerState(
@@ -225,7 +229,7 @@ class Controller(StrictAttributes):
         )
 
     def _route(self, address: str, port: int) -> Target | None:
-        """Return the target of a program's connection to this address; see `program_world.Route`."""
+        """Return the target of a connection that a program opens to this address; see `program_world.Route`."""
         if ipaddress.ip_address(address).is_loopback:
             own = _NAMES.get(port)
             if own is None:
@@ -269,7 +273,7 @@ class Controller(StrictAttributes):
 
     @property
     def is_up(self) -> bool:
-        """Whether the controller is up; False during a reboot, until its ports are open again."""
+        """Whether the controller is up; False from the start of a reboot until the ports are open again."""
         server = self._server
         return self._state.is_up and (server is None or server.is_open)
 
@@ -283,15 +287,15 @@ class Controller(StrictAttributes):
 
     @property
     def world(self) -> Surroundings:
-        """Surroundings of the tool.
+        """Objects and forces that act on the arm.
 
-        You can place planes and springs in it, hang a load at the flange, and set a scene of bodies.
+        You can add planes and springs, attach a load to the flange, and set a scene of bodies.
         """
         return self._state.surroundings
 
     @property
     def modes(self) -> Modes:
-        """Modes of robot, safety and program. A reboot creates a new object."""
+        """Robot mode, safety mode and program state. A reboot creates a new object."""
         return self._state.modes
 
     @property
@@ -301,7 +305,7 @@ class Controller(StrictAttributes):
 
     @property
     def modbus(self) -> ModbusSignals:
-        """Modbus signals by name: programs read 42 after `modbus["pressure"] = 42`."""
+        """Modbus signals by name. After `modbus["pressure"] = 42`, programs read 42 from the signal "pressure"."""
         return self._state.modbus
 
     @property
@@ -316,7 +320,7 @@ class Controller(StrictAttributes):
 
     @property
     def gripper(self) -> SimulatedGripper:
-        """Mounted gripper: the object between its fingers, and its faults.
+        """Mounted gripper. Use it to set the object between the fingers, and to cause faults.
 
         Raises:
             LocalError: If the controller was made without a gripper.
@@ -329,10 +333,11 @@ class Controller(StrictAttributes):
     def fieldbus(self) -> str | None:
         """Fieldbus that is enabled in the installation and reserves RTDE inputs.
 
-        It is "EtherNet/IP", "PROFINET" or None, and can be set. Clients keep the inputs that they hold.
+        The value is "EtherNet/IP", "PROFINET" or None, and can be set. Clients keep the inputs that they have already
+        claimed.
 
         Raises:
-            BadValue: If it is set to another value.
+            BadValue: If the fieldbus is set to another value.
         """
         return self._state.fieldbus
 
@@ -354,7 +359,7 @@ class Controller(StrictAttributes):
 
     @property
     def remote_control(self) -> bool:
-        """Whether an e-Series is in remote control, and so accepts external commands. Can be set."""
+        """Whether an e-Series controller is in remote control, and therefore accepts external commands. Can be set."""
         return self._state.remote_control
 
     @remote_control.setter
@@ -363,10 +368,11 @@ class Controller(StrictAttributes):
 
     @property
     def has_local_control(self) -> bool:
-        """Whether an e-Series in local control rejects external commands. Can be set.
+        """Whether an e-Series controller in local control rejects external commands. Can be set.
 
-        External commands do not come from the pendant. If False, the controller accepts them although `remote_control`
-        is False, as URSim does. Assumption: the feature "remote control" is off in the settings of such a controller.
+        External commands are all commands that do not come from the pendant. If False, the controller accepts external
+        commands even if `remote_control` is False, as URSim does. Assumption: the feature "remote control" is off in
+        the settings of such a controller.
         """
         return self._state.has_local_control
 
@@ -409,20 +415,20 @@ class Controller(StrictAttributes):
         """Advance by controller cycles of 8 ms (CB) or 2 ms (e-Series).
 
         If the controller serves its ports (`stepped`), any thread may call this. When the call returns, the packets of
-        these cycles are on their way to the clients.
+        these cycles have been passed to the network.
 
         Args:
             cycles: Number of cycles, default 1.
 
         Raises:
-            LocalError: If the controller was started without `stepped`, so that its own thread steps it.
+            LocalError: If the controller serves its ports and was not made with ``stepped=True``.
         """
         if self._server is not None:
             if self._stepped is None:
                 raise LocalError("a controller that serves its ports cannot be stepped; make it with stepped=True")
-            self.call(lambda: None)  # clients that have connected by now are accepted before time passes
+            self.call(lambda: None)  # accept waiting connections before time passes
             while cycles > 0:
-                # Packets that are more than a second late would be dropped.
+                # Advance by at most 0.2 s at once, because packets that are more than a second late are dropped.
                 some = min(cycles, self.firmware.rate // 5)
                 self._stepped.advance(some)
                 self.call(lambda: None)
@@ -436,11 +442,12 @@ class Controller(StrictAttributes):
             self.counters.lost_messages += 1
 
     def passing(self, speed: float = 1.0) -> contextlib.AbstractContextManager[None]:
-        """Let time pass while a ``with controller.passing():`` block runs; for `stepped`.
+        """Advance the robot's time while a ``with controller.passing():`` block runs; needs `stepped`.
 
         Args:
-            speed: Factor of real time; time passes more slowly if the machine is too slow. Work that a client does in
-                its own time, such as streaming set-points, does not get faster.
+            speed: Speed of the robot's time relative to real time, so 2.0 is twice real time. The robot's time passes
+                more slowly if this computer is too slow. A client that works in real time, such as a loop that sends
+                set-points, does not become faster.
 
         Raises:
             LocalError: If the controller serves its ports and was not made with ``stepped=True``.
@@ -451,10 +458,10 @@ class Controller(StrictAttributes):
         return passing(self.step, self.firmware.rate, speed)
 
     def take(self, text: str) -> None:
-        """Load text as if a client had sent it: the lines of one or more programs, or of commands.
+        """Load a text as if a client had sent it: one or more programs, or lines with commands.
 
-        Any thread may call this. Programs begin in the next cycle, however long they are. A program without `end` is
-        discarded, like the program of a client that disconnects.
+        Any thread may call this. Even long programs begin in the next cycle. A program without `end` is discarded, as
+        if the client had disconnected before the end of the program.
         """
         assembler = LineAssembler()
         lines = [line.removesuffix("\r") for line in text.split("\n")]
@@ -474,9 +481,10 @@ class Controller(StrictAttributes):
         self.call(lambda: self._runner.follow(source))
 
     def push(self, wrench: Sequence[float], joint_torques: Sequence[float] = (0.0,) * 6) -> None:
-        """Push the arm continuously, until the next call; six zeros end the push.
+        """Push the arm with a constant wrench until the next call; six zeros end the push.
 
-        In freedrive or force mode, the arm yields. Otherwise it only reports the force. Any thread may call this.
+        In freedrive or force mode, the arm yields to the push. Otherwise the arm only reports the force. Any thread may
+        call this.
 
         Args:
             wrench: Wrench at the TCP, shape (6,): forces in N along the axes of the base frame, and torques in Nm about
@@ -504,7 +512,7 @@ class Controller(StrictAttributes):
     # -- packets and messages ------------------------------------------------------------------------
 
     def realtime_packet(self) -> bytes:
-        """Real-time packet of this cycle."""
+        """Return the real-time packet of this cycle."""
         return self._realtime.packet()
 
     def state_package(self, first: bool = False) -> bytes:
@@ -516,10 +524,10 @@ class Controller(StrictAttributes):
         return self._states.package(first)
 
     def take_messages(self) -> list[bytes]:
-        """Return the messages that are queued for clients of the primary interface, once each.
+        """Return and remove the messages that are queued for clients of the primary interface.
 
         If the controller is stepped, these are the messages of all cycles since the last call, oldest first. At most
-        10,000 messages are kept. Older ones are dropped and counted in `counters.lost_messages`.
+        10,000 messages are stored. Older messages are dropped and counted in `counters.lost_messages`.
         """
         messages = [*self._messages, *self._state.outbox.take()]
         self._messages.clear()
@@ -528,7 +536,7 @@ class Controller(StrictAttributes):
     def greeting(self, port: str) -> list[bytes]:
         """Return the packets at the beginning of a connection to this port.
 
-        The real-time ports have none.
+        The real-time ports send no such packets.
         """
         return self._interfaces[interface_of(port)].greeting()
 
@@ -536,16 +544,16 @@ class Controller(StrictAttributes):
 
     @property
     def ports(self) -> dict[str, int]:
-        """Served ports: name -> number. Empty until the controller is started.
+        """Served ports: name -> number. The mapping is empty until the controller is started.
 
-        Ports whose interface does not exist in the current firmware are not included. A reboot into another firmware
-        might add or remove ports.
+        A port is not included if the current firmware does not have its interface. A reboot into another firmware might
+        add or remove ports.
         """
         return {name: number for name, number in self._all_ports.items() if self._serves(name)}
 
     @property
     def _all_ports(self) -> dict[str, int]:
-        """`ports`, and the ports that refuse connections until the firmware has their interface."""
+        """All ports, including those that currently refuse connections because the firmware lacks their interface."""
         return {} if self._server is None else self._server.numbers
 
     def _serves(self, port: str) -> bool:
@@ -555,7 +563,7 @@ class Controller(StrictAttributes):
     def address(self) -> str:
         """Address for `urlink.connect`.
 
-        It contains all ports, so that it stays valid when the firmware changes.
+        The address contains all ports, so it stays valid when the firmware changes.
 
         Raises:
             LocalError: If the controller has not been started.
@@ -572,8 +580,8 @@ class Controller(StrictAttributes):
     def call(self, change: Callable[[], object]) -> None:
         """Call a function between two cycles, in the thread that owns the controller.
 
-        Use it for changes that must not happen in the middle of a cycle. It waits until the function returns. Any
-        thread may call this.
+        Use this for changes that must not happen in the middle of a cycle. The call waits until the function returns.
+        Any thread may make this call.
         """
         server = self._server
         if server is None:
@@ -588,7 +596,7 @@ class Controller(StrictAttributes):
             BadAddress: If the controller cannot listen on the ports.
         """
         if self._server is None:
-            # Import the module with sockets only when the controller begins to serve.
+            # Import the module that uses sockets only when the controller begins to serve.
             from .server import Server
 
             server = Server(
@@ -629,8 +637,8 @@ class Controller(StrictAttributes):
 def _source(host: str, target: str) -> str | None:
     """Return `host` if it is a loopback address that the system would not choose as source; else None.
 
-    A client accepts a program only from the address of its robot. Each of several controllers on this computer can have
-    its own loopback address.
+    A client accepts the connection of a program only if it comes from the address of the client's robot. If several
+    controllers run on this computer, each can have its own loopback address.
     """
     try:
         own = ipaddress.ip_address(host)

@@ -1,8 +1,9 @@
 """Robot messages, and the packages at the beginning of a connection.
 
-For layouts and codes, see docs/protocols/primary.md, Robot messages. Two facts are from captured bytes of 5.4. A
-runtime exception has no time stamp if a program does not compile. Keys, texts and exceptions have source -3. The source
-of the other messages, their levels, and everything about older firmware are assumed.
+For layouts and codes, see docs/protocols/primary.md, Robot messages. Two facts are known from captured bytes of
+firmware 5.4. The first is that a runtime exception has no time stamp if a program does not compile. The second is that
+key messages, text messages and runtime exceptions have the source -3. The source of the other messages, their levels,
+and everything about older firmware are assumed.
 """
 
 from __future__ import annotations
@@ -38,10 +39,10 @@ _HAS_TOLERANCES = Since("3.10/5.4")
 def greeting(state: ControllerState, kind: str) -> list[bytes]:
     """Return the packages at the beginning of a primary or secondary connection.
 
-    They are the version message, message 12 (3.3 or later), and package 24 on the primary interface (3.10, 5.4 or
-    later). This was captured on 3.3, 3.10 and 5.4, and on the secondary interface of 5.12. A capture of 5.11,
-    reportedly of the primary interface, has no package 24. There is no capture of older firmware; it is assumed to send
-    only the version message.
+    They are the version message, message 12 (firmware 3.3 or later), and package 24 on the primary interface (3.10 or
+    later on CB3, 5.4 or later on e-Series). These packages were captured on 3.3, 3.10 and 5.4, and on the secondary
+    interface of 5.12. A capture of 5.11, reportedly of the primary interface, contains no package 24. There is no
+    capture of firmware older than 3.3. Such firmware is assumed to send only the version message.
     """
     firmware = state.firmware
     on_connect = {"timestamp": NO_TIMESTAMP, "source": MessageSource.ROBOT_INTERFACE}
@@ -49,12 +50,12 @@ def greeting(state: ControllerState, kind: str) -> list[bytes]:
         **firmware._asdict(),
         "project_name": "URControl",
         "svn_revision": firmware.bugfix,
-        # The two date formats in captures.
+        # Captures contain these two date formats.
         "build_date": "01-01-2024, 00:00:00" if firmware >= (3, 4) else "Jan 01 2016, 00:00:00",
     }
     packages = [_message(state, VersionMessage, **on_connect, **version)]
     if firmware in _HAS_MESSAGE_12:
-        # 0, 0, 1 on simulated controllers.
+        # Captured simulated controllers send 0, 0, 1.
         packages.append(_message(state, UnnamedMessage12, **on_connect, first=0, second=0, third=1))
     if kind == "primary" and firmware in _HAS_TOLERANCES:
         # The fourth number is 3 on 3.10 and 2 on 5.4.
@@ -66,12 +67,12 @@ def greeting(state: ControllerState, kind: str) -> list[bytes]:
 
 
 def safety_messages(state: ControllerState, cause: StopCause) -> list[bytes]:
-    """Return the messages of the primary interface when the safety mode has changed.
+    """Return the messages that the primary interface sends after a change of the safety mode.
 
-    The first is a report with a code and, if there is one, the reason. The second, on 3.0 and later, is the safety mode
-    message. The code of a protective stop, C153A0 "position deviates from path", is documented. A program's
-    `protective_stop()` is reported as C209A0 at warning level; this is what the tests of UR Client Library expect. The
-    other codes and levels, the order and the sources are assumed.
+    The first message is a report with a code, and with the reason if one is known. The second is the safety mode
+    message (firmware 3.0 or later). The code of a protective stop, C153A0 "position deviates from path", is documented.
+    A program's `protective_stop()` is reported as C209A0 at warning level; this is what the tests of UR Client Library
+    expect. The other codes and levels, the order and the sources are assumed.
     """
     mode = state.modes.safety_mode
     messages = []
@@ -87,7 +88,7 @@ def safety_messages(state: ControllerState, cause: StopCause) -> list[bytes]:
     return messages
 
 
-#: Data of a report in addition to its code and text; it is assumed that there is none.
+#: Data of a report in addition to the code and the text. It is assumed that reports have no such data.
 _NO_DATA = {"argument": 0, "data_type": ReportDataType.NONE, "data": 0}
 _REPORTS = {
     SafetyMode.PROTECTIVE_STOP: (153, ReportLevel.VIOLATION, "Protective stop: position deviates from path"),
@@ -99,22 +100,22 @@ _BY_PROGRAM = (209, ReportLevel.WARNING, "Protective stop")
 
 
 def program_started(state: ControllerState, name: str) -> bytes:
-    """Return the message for a program that begins."""
+    """Return the message that reports the start of a program."""
     return _message(state, KeyMessage, code=0, argument=0, title="PROGRAM_XXX_STARTED", text=name)
 
 
 def program_stopped(state: ControllerState, name: str) -> bytes:
-    """Return the message for a program that has ended, for any reason."""
+    """Return the message that reports the end of a program, whatever the reason for the end."""
     return _message(state, KeyMessage, code=0, argument=0, title="PROGRAM_XXX_STOPPED", text=name)
 
 
 def text_message(state: ControllerState, text: str) -> bytes:
-    """Return the message of a program's `textmsg`."""
+    """Return the message for a call of `textmsg` in a program."""
     return _message(state, TextMessage, text=text)
 
 
 def runtime_exception(state: ControllerState, error: ProgramError, is_running: bool) -> bytes:
-    """Return the message for a program that does not compile, or that failed while running."""
+    """Return the message that reports a program that does not compile, or that failed while running."""
     stamp = {} if is_running else {"timestamp": NO_TIMESTAMP}
     return _message(state, RuntimeExceptionMessage, **stamp, line=error.line, column=error.column, text=error.text)
 
@@ -122,7 +123,7 @@ def runtime_exception(state: ControllerState, error: ProgramError, is_running: b
 def popup_message(
     state: ControllerState, text: str, title: str, is_warning: bool, is_error: bool, is_blocking: bool
 ) -> bytes:
-    """Return the message for a popup of a program."""
+    """Return the message for a popup that a program opens."""
     return _message(
         state,
         PopupMessage,
@@ -131,7 +132,7 @@ def popup_message(
         is_warning=is_warning,
         is_error=is_error,
         is_blocking=is_blocking,
-        # The length field is one byte.
+        # The length field of the title is one byte.
         title=title.encode("utf-8", "backslashreplace")[:255].decode("utf-8", "ignore"),
         text=text,
     )

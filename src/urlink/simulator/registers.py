@@ -1,11 +1,12 @@
-"""General-purpose registers, watchdogs over inputs, and the claims of RTDE inputs.
+"""General-purpose registers, watchdogs for RTDE inputs, and the RTDE inputs that clients have claimed.
 
-Fieldbuses, RTDE clients and programs share the registers (docs/protocols/rtde.md, Releases). Inputs are written from
-outside and read by programs; outputs are written by programs. Registers 0 to 23 are meant for fieldbuses and PLCs, and
-24 to 47 for RTDE clients. The upper half was added in 3.9 and 5.3.
+Fieldbuses, RTDE clients and programs share the registers (docs/protocols/rtde.md, Releases). Fieldbuses and RTDE
+clients write the input registers, and programs read them. Programs write the output registers. Registers 0 to 23 are
+meant for fieldbuses and PLCs, and registers 24 to 47 for RTDE clients. Registers 24 to 47 were added in firmware 3.9
+and 5.3.
 
-One client holds an input, in as many of its recipes as it likes, until its connection ends (docs/protocols/rtde.md,
-Rules). A fieldbus that is enabled in the installation holds inputs too.
+Only one client can claim an input. This client can use the input in several recipes, and releases it when its
+connection ends (docs/protocols/rtde.md, Rules). A fieldbus that is enabled in the installation also reserves inputs.
 """
 
 from __future__ import annotations
@@ -17,12 +18,12 @@ from typing import Literal
 
 from linkcore.names import StrictAttributes
 
-#: Number of boolean registers, and of registers of each kind of number.
+#: Number of boolean registers; number of integer registers, which is also the number of floating-point registers.
 BITS, NUMBERS = 128, 48
 
 
 class Bank:
-    """The registers of one direction.
+    """The input registers or the output registers of a controller.
 
     Attributes:
         bits: Boolean registers: bit `n` is register `n`.
@@ -58,7 +59,7 @@ Action = Literal["ignore", "pause", "stop"]
 
 @dataclass
 class _Watchdog:
-    """Watchdog of one variable. A data package with the variable resets it, whatever its value."""
+    """Watchdog of one variable. Each data package that contains the variable resets it, whatever the value."""
 
     cycles: float
     action: Action
@@ -66,13 +67,13 @@ class _Watchdog:
 
 
 class Watchdogs:
-    """The watchdogs that a program has set with `rtde_set_watchdog`. They end with the program."""
+    """The watchdogs that a program has set with `rtde_set_watchdog`. They are removed when the program ends."""
 
     def __init__(self) -> None:
         self._dogs: dict[str, _Watchdog] = {}
 
     def set(self, variable: str, cycles: float, action: Action, now: int) -> None:
-        """Watch a variable: it must arrive once in `cycles`. Infinity removes the watchdog."""
+        """Set a watchdog: the variable must arrive at least once in `cycles` cycles. Infinity removes the watchdog."""
         if math.isinf(cycles):
             self._dogs.pop(variable, None)
         else:
@@ -80,18 +81,18 @@ class Watchdogs:
 
     def feed(self, variables: Collection[str], now: int) -> None:
         """Record that a data package with these variables arrived in this cycle."""
-        # Usually there is no watchdog, but a client sends many variables, so iterate over the watchdogs.
+        # Iterate over the watchdogs: usually there is none, but a client sends many variables.
         for variable, dog in self._dogs.items():
             if variable in variables:
                 dog.fed = now
 
     def restart(self, now: int) -> None:
-        """Restart the full time of all variables, from this cycle."""
+        """Restart all watchdogs in this cycle, as if all variables had just arrived."""
         for dog in self._dogs.values():
             dog.fed = now
 
     def expired(self, now: int) -> Action | None:
-        """Return the action for a late variable, "stop" before "pause"; None if none is late."""
+        """Return the action for late variables; None if no variable is late. "stop" takes precedence over "pause"."""
         late = {dog.action for dog in self._dogs.values() if now - dog.fed > dog.cycles}
         return "stop" if "stop" in late else "pause" if "pause" in late else None
 
@@ -100,24 +101,25 @@ class Watchdogs:
         self._dogs.clear()
 
 
-# A report to the vendor's Python client states that EtherNet/IP reserves the lower half of both kinds. That PROFINET
-# does the same is assumed. The effect on the boolean registers is unknown; here they stay free.
+# A bug report for the vendor's Python client states that EtherNet/IP reserves the lower half of the integer registers
+# and of the floating-point registers. It is assumed that PROFINET does the same. The effect on the boolean registers is
+# unknown; in the simulator, they stay free.
 _LOWER = frozenset(f"input_{kind}_register_{number}" for kind in ("int", "double") for number in range(24))
 
-#: Fieldbus -> inputs that it reserves.
+#: Name of a fieldbus -> inputs that this fieldbus reserves.
 FIELDBUSES = {"EtherNet/IP": _LOWER, "PROFINET": _LOWER}
 
 
 class InputClaims:
-    """The inputs of one controller and the clients that hold them."""
+    """The RTDE inputs of one controller, and the clients that have claimed them."""
 
     def __init__(self) -> None:
         self._owners: dict[str, object] = {}
-        # Ended connections, and the last cycle in which their inputs are still held.
+        # Ended connection -> last cycle in which its inputs are still claimed.
         self._stale: dict[object, int] = {}
 
     def holder(self, name: str, now: int) -> object | None:
-        """Return the client that holds an input in this cycle; None if the input is free."""
+        """Return the client that has claimed this input, as of this cycle; None if the input is free."""
         owner = self._owners.get(name)
         if owner is not None and self._stale.get(owner, now) < now:
             self.release(owner)
@@ -134,5 +136,5 @@ class InputClaims:
         self._owners = {name: held_by for name, held_by in self._owners.items() if held_by is not owner}
 
     def go_stale(self, owner: object, until: int) -> None:
-        """Keep the inputs of an ended connection held up to that cycle."""
+        """Keep the inputs of an ended connection claimed until this cycle."""
         self._stale[owner] = until

@@ -1,11 +1,12 @@
-"""RTDE variables of the simulated controller: outputs read its state, inputs change it.
+"""RTDE variables of the simulated controller: functions that read outputs from its state, or apply inputs to it.
 
-Values that another interface also sends come from the same source, so that they are equal in the same cycle. Only
-`timestamp` differs from the real-time interface's `time`, by `UPTIME`. Real controllers have been up for a while when a
-client connects, and public clients wait until 40 s have passed (docs/protocols/rtde.md).
+If another interface also sends a value, both interfaces read it from the same source, so that the values of one cycle
+are equal. The only exception is `timestamp`, which is larger by `UPTIME` than `time` on the real-time interface. Real
+controllers have been running for a while when a client connects, and the UR Client Library waits until `timestamp` is
+above 40 s (docs/protocols/rtde.md).
 
-Variables that are not modelled have assumed values. The energy counters count only the electronics. Ratios, encoders
-and Euromap are zero, the window of currents is 2 A, and `script_control_line` is always 0.
+Variables that are not modelled have assumed values. The energy counters include only the electronics. Ratios, encoders
+and Euromap values are zero. `actual_current_window` is 2 A, and `script_control_line` is always 0.
 """
 
 from __future__ import annotations
@@ -28,9 +29,10 @@ from .state import ControllerState
 
 #: Initial value of `timestamp`, in s.
 UPTIME = 45.0
-#: Voltages of the controller's supply and of the robot's, in V.
+#: Supply voltages of the controller and of the robot arm, in V.
 MAIN_VOLTAGE, ROBOT_VOLTAGE = number("main_voltage"), number("robot_voltage")
-# Current of the electronics at rest, in A; current per power of the motion, in A/W; current per motor heat, in 1/A.
+# Three terms of the robot current: the electronics at rest, in A; the current per joint power, in A/W; and the current
+# per sum of squared motor currents, in 1/A.
 _IDLE, _OF_POWER, _OF_HEAT = (
     number("robot_idle_current"),
     number("robot_current_of_power"),
@@ -77,15 +79,16 @@ def _tool_analog_types(state: ControllerState) -> int:
 
 
 def robot_current(state: ControllerState) -> float:
-    """Return the current of electronics, joint power and motor heat, in A.
+    """Return the robot current, in A: the sum of the parts for the electronics, the joint power and the motor heat.
 
-    The joint power is that of the motor currents, so it includes friction. The model is that of a UR3e; it is assumed
-    to be the same for other arms.
+    The joint power is that of the motor currents, so it includes friction. The formula was identified for a UR3e. It is
+    assumed that it applies to other arms too.
     """
     if not state.modes.is_powered:
         return 0.0
     s = state.arm.sample
-    # Avoid `sum`, which rounds differently since Python 3.12. The same run must send the same bytes on every version.
+    # Do not use `sum`, which rounds differently since Python 3.12. The same run must send the same bytes with every
+    # version of Python.
     torques = map(mul, s.I_actual, state.arm.motors.torque_constants)
     power: float = reduce(add, map(mul, torques, s.qd_actual))
     heat: float = reduce(add, map(mul, s.I_actual, s.I_actual))
@@ -93,9 +96,9 @@ def robot_current(state: ControllerState) -> float:
 
 
 def execution_time(state: ControllerState) -> float:
-    """Return the time that a cycle takes the controller, in ms, without or with a program.
+    """Return the time that the controller needs to execute one cycle, in ms. A running program increases it.
 
-    It was 0.06 on a real CB2.
+    A real CB2 reported 0.06 ms.
     """
     if not state.firmware.is_e_series:
         return 0.06
@@ -225,12 +228,13 @@ Change = Callable[[ControllerState, Mapping[str, Any]], None]
 def write_inputs(state: ControllerState, values: Mapping[str, Any]) -> None:
     """Apply the inputs of one data package, by name.
 
-    All inputs keep their last value. An output of the controller changes when a package contains any input of its
-    group, according to the current mask and values. It is assumed that these can arrive in different recipes. The speed
-    slider moves once for each package in which its mask is 1. A value that is not a number changes nothing.
+    All inputs keep their last value. When a package contains any input of a group of outputs, the controller applies
+    the group's current mask and values. It is assumed that a mask and its values can arrive in different recipes. The
+    speed slider moves once for each package in which its mask is 1. A value of NaN moves neither the slider nor an
+    analogue output.
 
-    In local control, an e-Series accepts registers, but not outputs and the slider. This is a cautious assumption: it
-    is known only that it accepts no URScript then.
+    In local control, an e-Series controller accepts values for registers, but not for outputs and the speed slider.
+    This is a cautious assumption: it is known only that such a controller accepts no URScript.
     """
     state.rtde_inputs.update(values)
     for change in dict.fromkeys(_CHANGES[name] for name in values):
@@ -254,7 +258,10 @@ def _analog(state: ControllerState, values: Mapping[str, Any]) -> None:
 
 
 def _digital(group: str, first: int, count: int) -> Change:
-    """Set the outputs of a group whose bits begin at `first`, but only outputs in its mask."""
+    """Return a function that sets the outputs of a group. Only outputs in the group's mask are set.
+
+    The function sets `count` bits of the digital outputs, beginning at bit `first`.
+    """
 
     def change(state: ControllerState, values: Mapping[str, Any]) -> None:
         held, signals = state.rtde_inputs, state.signals
@@ -284,7 +291,7 @@ def _input_registers(state: ControllerState, values: Mapping[str, Any]) -> None:
 
 
 def _register_of(name: str) -> tuple[str, int] | None:
-    """Return kind and number of an input register; None for other inputs.
+    """Return the kind and the number of an input register; None if the input is not a register.
 
     The kind is "word" (with the number of its first bit), "bit", "int" or "double".
     """

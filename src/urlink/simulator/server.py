@@ -1,14 +1,15 @@
-"""Serve the controller's interfaces over TCP.
+"""Server that offers the controller's interfaces over TCP.
 
 One thread keeps the clock and transfers the bytes of every client.
 
-Deadlines are absolute: cycle k is due k periods after the start, however late the previous cycle was. A thread that got
-no processor time catches up cycle by cycle. The packets of these cycles are still sent, as if the network had delayed
-them.
+Deadlines are absolute: cycle k is due k periods after the start, even if the previous cycle was late. If the thread got
+no processor time for a while, it catches up cycle by cycle. The packets of these cycles are still sent, as if the
+network had delayed them.
 
-Packets that are more than `LATEST` late are counted but not sent. The next cycle that is sent also carries the packets
-that became due in the meantime. After `ASLEEP`, the clock is set again. So clients of a slow simulator see late and
-missing packets, but only one clock, and no silent interface.
+If a cycle is late by more than `LATEST`, it is counted, but its packets are not sent. Packets that became due in the
+meantime are sent with the next cycle that is sent. If the thread is late by more than `ASLEEP`, the clock is set again.
+Clients of a slow simulator therefore receive late packets and miss some, but all interfaces show the same time, and no
+interface is silent.
 """
 
 from __future__ import annotations
@@ -26,26 +27,26 @@ from .interfaces.interface import Interface, ReadOnlyReceiver
 from .programs.loader import ProgramLoader
 from .state import ControllerState
 
-#: Age in seconds above which a packet is no longer sent. Up to this age, a client gets every cycle. Older packets would
-#: only delay the next ones, on a machine that is too slow for all of its controllers.
+#: Age in seconds above which a packet is no longer sent. Up to this age, a client gets the packets of every cycle. If a
+#: computer is too slow for all of its controllers, sending older packets would only delay the next ones.
 LATEST = 1.0
-#: Delay in seconds above which the clock is set again instead of catching up, because the machine was suspended.
+#: Delay in seconds above which the computer was probably suspended. The clock is then set again instead of catching up.
 ASLEEP = 5.0
-#: Seconds of catching up after which the sockets are served again, however far behind the clock is. A program can make
-#: cycles that take longer than their period.
+#: Maximum time of catching up in seconds. After this time, the sockets are served, even if the controller is still
+#: late. This limit is needed because a program can have cycles that take longer than their period.
 LONGEST_CATCH_UP = 0.02
-#: Cycles per second that are executed on time even if no client needs them, so that modes and time advance.
+#: Cycles per second that are executed on time even if no client is connected, so that the modes and the time advance.
 LEAST_RATE = 10
-#: Bytes read from a client at once. Each line of them can be a program.
+#: Maximum number of bytes that are read from a client at once. Each line of these bytes can be a program.
 CHUNK = 1 << 12
-#: Seconds that other threads wait for the server's thread.
+#: Maximum time that other threads wait for the server's thread, in seconds.
 TIMEOUT = 5.0
 #: Seconds within which a client must take the last reply before its connection is closed.
 LAST_REPLY = 2.0
 
 
 class _Client(Handler):
-    """One connection. The faults of the link apply to the packets that its interface sends."""
+    """Connection of one client. The link faults of its port apply to the packets that are sent over it."""
 
     def __init__(self, server: Server, name: str, interface: Interface, connection: Connection) -> None:
         self.name = name
@@ -73,7 +74,8 @@ class _Client(Handler):
         self.connection.close(reset=True)
 
     def data_received(self, data: bytes) -> None:
-        # A request of a client must take effect in the next cycle from now, not from the last reading of the clock.
+        # Catch up first: a request of a client must take effect in the next cycle after its arrival, not in a cycle
+        # that is already due.
         self._server.look_at_the_clock()
         self._receiver.feed(data)
 
@@ -83,7 +85,7 @@ class _Client(Handler):
 
 
 class Server:
-    """Serves the interfaces of one controller from one thread, which then owns the controller.
+    """Server for the interfaces of one controller. It runs in one thread, which then owns the controller.
 
     Args:
         loop: Control loop that advances the controller.
@@ -93,12 +95,12 @@ class Server:
         link: Faults of the connections.
         host: Address to listen on.
         numbers: Name of each port -> its number, 0 for a free one.
-        output_limit: Maximum number of bytes buffered for one client.
+        output_limit: Maximum number of bytes that are buffered for one client.
         clock: Monotonic clock, in seconds. A test can pass its own clock.
 
     Attributes:
         counters: Counters of events on the interfaces.
-        is_open: Whether the ports are open. After a reboot, they open a moment later than the controller is up.
+        is_open: Whether the ports are open. After a reboot, the ports open a moment after the controller has come up.
 
     Raises:
         BadAddress: If the server cannot listen on a port.
@@ -117,7 +119,7 @@ class Server:
         output_limit: int,
         clock: Callable[[], float],
     ) -> None:
-        # The clients of each port, and the names of the interfaces that have any.
+        # The clients of each port, and the names of the interfaces that have at least one client.
         self._clients: dict[str, list[_Client]] = {name: [] for name in numbers}
         self._watched: set[str] = set()
         self._control = loop
@@ -134,7 +136,7 @@ class Server:
         # Whether the last `catch_up` ran out of time.
         self._is_behind = False
         self._rate = state.rate
-        #: Cycle of the controller at the start of the server, and its time on the monotonic clock.
+        #: Time on the monotonic clock at which the server started, in s, and the controller's cycle at that time.
         self._epoch = 0.0
         self._first = state.cycle
         self._segments_seen = link.segments_changed
@@ -192,7 +194,7 @@ class Server:
         """Call a function in the server's thread between two cycles, and wait until it returns.
 
         Raises:
-            LinkTimeout: If the call was not done within `TIMEOUT`.
+            LinkTimeout: If the function did not return within `TIMEOUT`.
             Exception: If `change` raises it.
         """
 
@@ -200,7 +202,7 @@ class Server:
             self.catch_up()
             change()
             self._settle()
-            # The very next cycle must contain the change.
+            # Execute the next cycle on time, because it must show the change.
             self._is_changed = True
 
         if self._thread is threading.current_thread():
@@ -213,17 +215,18 @@ class Server:
     def _run(self) -> None:
         try:
             self._epoch = self._clock()
-            while not self._is_closing:
-                self.catch_up()
-                self._loader.advance()
-                self._sockets.serve_once(self._due())
+            with clock.fine_timer():
+                while not self._is_closing:
+                    self.catch_up()
+                    self._loader.advance()
+                    self._sockets.serve_once(self._due())
         finally:
             self._is_closing, self.is_open = True, False
             self._loader.close()
             self._sockets.close()
 
     def _due(self) -> float | None:
-        """Return the time of the next cycle that has work to do; None if `step` drives the cycles."""
+        """Return the time of the next cycle that must run on time; None if `step` advances the cycles."""
         if self._is_stepped:
             return None  # the clock does not advance while the thread waits for the sockets
         cycle = self._state.cycle
@@ -242,7 +245,7 @@ class Server:
         until = self._clock() + LONGEST_CATCH_UP
         has_time = True
         while behind > 0 and has_time and not self._is_closing:
-            # Needed only if packets are sent late.
+            # Whether this cycle had to run on time. If so, its packets are sent late.
             is_due = behind > 1 and self._next(state.cycle) == state.cycle + 1
             self._control.advance()
             behind -= 1
@@ -256,16 +259,19 @@ class Server:
         self._is_behind = behind > 0
 
     def look_at_the_clock(self) -> None:
-        """Advance to the current time before serving a client, unless the thread is behind anyway.
+        """Advance to the current time before serving a client, unless the last `catch_up` did not finish.
 
-        If the machine is too slow for the controller, clients would otherwise wait while it catches up for other
-        clients.
+        On a computer that is too slow for the controller, each client would otherwise have to wait while the thread
+        catches up for other clients.
         """
         if not self._is_behind:
             self.catch_up()
 
     def _next(self, cycle: int) -> int:
-        """Return the first cycle after this one that must run on time; earlier cycles are caught up then."""
+        """Return the first cycle after this one that must run on time.
+
+        The cycles before the returned one are executed together with it.
+        """
         earliest = -(-(cycle * LEAST_RATE // self._rate + 1) * self._rate // LEAST_RATE)
         if self._loader.is_waiting:
             return cycle + 1
@@ -297,7 +303,8 @@ class Server:
                 data = self._link.on_the_wire(name, packet)
                 for client in clients:
                     if client.pending + len(data) > client.connection.port.output_limit:
-                        # Public clients send programs for hours and never read, even with real controllers.
+                        # Drop the packet instead of closing the connection. Some public clients send programs for hours
+                        # and never read, and this works with real controllers.
                         self.counters.unread += 1
                     else:
                         self._put(client, data)
@@ -326,7 +333,7 @@ class Server:
     def _accept(self, name: str, connection: Connection) -> _Client | None:
         if self._is_closing:
             return None
-        # The thread might be waiting for a later cycle. Advance first, so that a new client gets no old packets.
+        # The thread might have waited for a later cycle. Advance first, so that a new client gets no old packets.
         self.look_at_the_clock()
         interface = self._interfaces[interface_of(name)]
         client = _Client(self, name, interface, connection)
@@ -348,7 +355,7 @@ class Server:
     # -- faults --------------------------------------------------------------------------------------
 
     def _settle(self) -> None:
-        """Set ports and connections to the state that the controller and its faults require."""
+        """Open, pause or close ports and connections, as the controller and its faults require."""
         if self._is_closing:
             return
         self._open_or_refuse()
@@ -366,7 +373,8 @@ class Server:
         for name, port in self._listening.items():
             if is_up and self._interfaces[interface_of(name)].is_offered():
                 port.listen()
-                # A stalled port is silent, but still accepts connections: the kernel queues them.
+                # A stalled port is silent, but clients can still connect, because the operating system queues new
+                # connections.
                 if self._link.is_stalled(name):
                     port.pause()
                 else:

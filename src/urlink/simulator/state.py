@@ -1,7 +1,7 @@
-"""State of a controller: all that its interfaces show and its programs change.
+"""State of a controller: all values that the interfaces show, and all values that programs change.
 
-The state is one passive object that does not depend on programs or interfaces. The control loop advances it. Packets
-and messages are made from it.
+The state is one passive object that does not depend on programs or interfaces. The control loop advances it. The
+interfaces make their packets and messages from the state.
 """
 
 from __future__ import annotations
@@ -29,15 +29,17 @@ from .robot.surroundings import Surroundings
 if TYPE_CHECKING:
     from urlink.arm.arm_file import ArmFile
 
-#: Bytes of messages in one cycle above which texts and popups are dropped. A program could make thousands of them.
+#: Number of bytes of messages in one cycle above which texts and popups are dropped. A program could make thousands of
+#: texts and popups in one cycle.
 MOST_MESSAGES = 1 << 14
-#: Number of flags of `set_flag` and `get_flag`. The highest flag, 31, is inferred (docs/protocols/urscript.md, Flags).
+#: Number of flags for `set_flag` and `get_flag`. It is inferred that the highest flag is 31
+#: (docs/protocols/urscript.md, Flags).
 FLAGS = 32
 
 
 @dataclass
 class Counters:
-    """Counters of a controller's interfaces since the controller was made.
+    """Counters of events on a controller's interfaces since the controller was made.
 
     Attributes:
         connections: Accepted connections.
@@ -49,8 +51,9 @@ class Counters:
         refused_programs: Programs and lines that were ignored because of the state of the controller.
         late: Cycles whose packets were sent more than one cycle after they were due.
         skipped: Cycles whose packets were not sent because they were far too late.
-        lost_messages: Dropped messages: texts and popups of programs above the limit of one cycle, and messages of a
-            stepped controller above the number that it keeps until they are taken.
+        lost_messages: Dropped messages. They are texts and popups of programs above the limit of one cycle. On a
+            stepped controller, they are also messages above the maximum number that is stored until `take_messages` is
+            called.
         ignored_packages: Invalid packages from RTDE clients, such as data of an unknown recipe.
     """
 
@@ -70,7 +73,7 @@ class StopCause(NamedTuple):
     """Cause of a change of the safety mode.
 
     Attributes:
-        reason: Reason for the message; "" if none was given.
+        reason: Reason that the message of the stop shows; "" if no reason was given.
         by_program: Whether a program has called `protective_stop()`.
     """
 
@@ -96,7 +99,7 @@ class StateOutbox:
         self._size += len(message)
 
     def offer(self, make: Callable[[], bytes]) -> None:
-        """Add a message, or drop it if there are too many already. It is made only if it is added."""
+        """Make and add a message, or drop it if the queue is already too long."""
         if self._size > MOST_MESSAGES:
             self._counters.lost_messages += 1
         else:
@@ -114,45 +117,46 @@ class ControllerState:
     Args:
         kinematics: Kinematics of the arm.
         firmware: Firmware until the first reboot.
-        source: Source of set-points that the arm follows when the controller has come up.
+        source: Source of set-points that the arm follows after each start of the controller.
         serial: Serial number of the arm.
         seed: Seed of the sensor noise.
         noise: Whether the sensors are noisy.
-        scaling_parameters: Behaviour of the speed scaling.
+        scaling_parameters: Parameters of the speed scaling.
         zeroes_force: Whether the start of a program zeroes the force sensor.
         like: Identified properties of an arm. None selects the known properties of the model.
 
     Attributes:
-        kinematics, serial: The arguments of the same names.
+        kinematics, serial: See the arguments with the same names.
         firmware: Current firmware.
         rate: Cycles per second.
         period: Duration of a cycle, in s.
         cycle: Number of cycles since the controller was made, including reboots.
         uptime: Number of cycles since the controller came up.
-        cycles_down: Number of cycles until a reboot is complete; 0 while the controller is up.
+        cycles_down: Number of cycles until the current reboot is complete; 0 while the controller is up.
         surroundings: Objects that the tool touches. They persist across reboots.
         arm: Joints, tool and sensors.
-        modes: Modes of robot, safety and program.
+        modes: Robot mode, safety mode and program state.
         signals: Inputs and outputs.
-        modbus: Modbus signals by name, without a bus.
+        modbus: Modbus signals by name; there is no simulated bus.
         registers: General-purpose registers. A reboot clears them (assumed).
-        watchdogs: Watchdogs of the running program over RTDE inputs.
+        watchdogs: Watchdogs that the running program has set for RTDE inputs.
         rtde_inputs: Name -> last value that a client has sent.
-        claims: RTDE inputs and the clients that hold them.
+        claims: RTDE inputs, and the clients that have claimed them.
         fieldbus: Fieldbus that is enabled in the installation, a key of `FIELDBUSES`, or None.
         source: Current source of the arm's set-points.
-        is_paused: Whether the source is paused, because its program was paused by hand or by a stop.
-        resumes: Whether the program continues automatically when the stop has ended.
-        by_hand: Drive that moves the arm from the pendant while no program plays; None if there is none.
+        is_paused: Whether the source is paused, because its program was paused on the pendant or by a stop.
+        resumes: Whether the program continues automatically when the current stop has ended.
+        by_hand: Drive with which the pendant moves the arm while no program plays; None if the pendant does not move
+            it.
         speed_fraction: Position of the speed slider, 0 to 1.
-        slider: Effective fraction of the speed slider; it follows `speed_fraction` gradually.
-        scaling: Fraction of their speed with which the commands of programs are executed. It follows `slider`, and is 0
-            at the start of a program.
-        scaling_parameters, zeroes_force: The arguments of the same names.
+        slider: Fraction of the speed slider that takes effect; it approaches `speed_fraction` gradually.
+        scaling: Speed at which the commands of programs are executed, as a fraction of the commanded speed. It
+            approaches `slider`, and is 0 at the start of a program.
+        scaling_parameters, zeroes_force: See the arguments of the same names.
         remote_control: Whether an e-Series is in remote control.
         has_local_control: Whether an e-Series in local control rejects commands that do not come from the pendant.
         control_mode: Quantity that the running program controls; position if there is no program.
-        teach_button: Whether the freedrive button is held.
+        teach_button: Whether the freedrive button is pressed.
         flags: Flags that programs set with `set_flag`.
         stopped_since: `time` at which the current stop began; None if there is no stop.
         popup: Text that the pendant shows, or None.
@@ -226,12 +230,12 @@ class ControllerState:
         return SimulatedArm(self.kinematics, setpoint, self._noise_seed, self.surroundings, self._like, is_cb2)
 
     def go_down(self, firmware: Firmware | None, seconds: float) -> None:
-        """Reboot: go down for a time, then come up with this firmware or the current one.
+        """Reboot: shut down for a time, then start with this firmware, or with the current one if it is None.
 
-        The time is at least one cycle.
+        The controller is down for at least one cycle.
 
-        Without power, the brakes hold the joints. The distance that the joints slide before the brakes hold is not
-        modelled.
+        Without power, the brakes hold the joints. The small distance that the joints move before the brakes engage is
+        not modelled.
         """
         self.cycles_down = max(1, math.ceil(seconds * self.rate))
         self._next_firmware = firmware or self.firmware
@@ -241,8 +245,8 @@ class ControllerState:
     def come_up(self) -> None:
         """Complete the reboot.
 
-        The arm has not moved. Tool and payload are in the installation and stay. It is assumed that popup and loaded
-        program are lost, and that signals, remote control and log stay.
+        The arm has not moved. TCP and payload are kept, because they are stored in the installation. It is assumed that
+        the popup and the loaded program are lost, and that signals, remote control and log are kept.
         """
         before = self.arm
         self._first_source.start(before.setpoint.q)
@@ -269,24 +273,25 @@ class ControllerState:
 
     @property
     def is_local(self) -> bool:
-        """Whether only the pendant can command the controller: an e-Series in local control."""
+        """Whether only the pendant can command the controller, because it is an e-Series in local control."""
         return self.firmware.is_e_series and self.has_local_control and not self.remote_control
 
     def move_slider(self, seconds: float) -> None:
-        """Move the effective slider fraction towards the slider, as far as it gets in this time."""
+        """Move `slider` towards `speed_fraction`, at the limited rate of the slider, for this number of seconds."""
         self.slider = approached(self.slider, self.speed_fraction, self.scaling_parameters.slider_rate * seconds)
 
     @property
     def speed_scaling(self) -> float:
-        """Speed scaling that all interfaces show: `slider` while a program plays.
+        """Speed scaling that all interfaces show, which is `slider` while a program plays.
 
-        The start of a program does not affect it: in the log of a UR3e it is 1 while the joints still accelerate.
+        The start of a program does not affect this value. In the log of a UR3e, the value is 1 while the joints still
+        accelerate.
         """
         return self.modes.speed_scaling * self.slider
 
     @property
     def time_scale_source(self) -> TimeScaleSource:
-        """Reason why the motion is scaled.
+        """Reason for which the speed of the motion is scaled.
 
         It is assumed that a change of the slider, and the start of a program, count as a smooth transition.
         """
@@ -298,7 +303,7 @@ class ControllerState:
     # -- modes ---------------------------------------------------------------------------------------
 
     def update_modes(self, seconds: float) -> None:
-        """Update the modes from the state of arm and program, after `seconds`."""
+        """Update the modes from the states of the arm and the program, `seconds` after the last update."""
         is_standing = self.arm.is_standing or self.by_hand is not None
         self.modes.advance(seconds, is_standing, self.source.is_program, self.is_paused)
 
@@ -306,7 +311,7 @@ class ControllerState:
         """Make a protective stop.
 
         Args:
-            reason: Reason for the message of the stop.
+            reason: Reason that the message of the stop shows.
             by_program: Whether a program has requested the stop.
         """
         self._stop_cause = StopCause(reason, by_program)
@@ -326,8 +331,8 @@ class ControllerState:
 def firmware_for(model: Model, firmware: str | Firmware) -> Firmware:
     """Return the firmware if it runs on the model.
 
-    UR3, UR5 and UR10 run 3.x. UR5 and UR10 also run 1.x, but the UR3 does not, because it was introduced with CB3. All
-    other arms run 5.0 and later. Whether a later release is needed for the newer arms is not checked.
+    UR3, UR5 and UR10 run 3.x. UR5 and UR10 also run 1.x. The UR3 does not, because it was introduced with CB3. All
+    other arms run 5.0 and later. It is not checked whether a newer arm needs a later release than 5.0.
 
     Raises:
         BadVersion: If there is no such firmware.

@@ -12,10 +12,11 @@ from linkcore import clock
 from linkcore.aio import loop_connection
 from linkcore.aio.async_stream import AsyncStream
 from linkcore.errors import LinkError
+from linkcore.net.awaited import AwaitedTcp
 from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.packet_queue import Policy, block, drop_oldest
 from tests.fakes.link import Count, counts
-from tests.linkcore.aio.test_async_stream import awaited, come, listening, stream_to
+from tests.linkcore.aio.test_async_stream import awaited, come, connection_to, listening, stream_of, stream_to
 
 pytestmark = pytest.mark.real_time
 
@@ -25,7 +26,7 @@ _AT_ONCE = 3.0
 
 @awaited
 async def test_closed_iterator_gets_no_more_packets() -> None:
-    async with listening() as peer, stream_to(peer) as stream:
+    async with listening() as peer, stream_of(connection := connection_to(peer)) as stream:
         packets, other = stream.iterate(block), stream.iterate(block)
         await packets.open()
         await other.open()
@@ -33,8 +34,7 @@ async def test_closed_iterator_gets_no_more_packets() -> None:
         await packets.aclose()
         writer.write(counts(1))
         assert (await other.__anext__()).number == 1
-        routes = stream._loop_connection.fan_out._routes
-        assert [route.sink for route in routes if route.sink is packets._queue] == []
+        assert len(connection.fan_out.sinks) == 1
         await other.aclose()
 
 
@@ -46,7 +46,7 @@ async def test_stream_continues_when_a_full_iterator_is_closed() -> None:
         await other.open()
         writer = await peer.accepted()
         writer.write(counts(1, 2, 3))
-        await come(lambda: full._queue.waiting == 3)
+        await come(lambda: full.stats.waiting == 3)
         await full.aclose()
         writer.write(counts(4))
         assert [(await asyncio.wait_for(other.__anext__(), _AT_ONCE)).number for _ in range(4)] == [1, 2, 3, 4]
@@ -73,32 +73,32 @@ async def test_iterator_of_two_tasks_counts_each_packet_once() -> None:
 @awaited
 async def test_join_returns_when_a_thread_closes_an_unread_stream() -> None:
     async with listening() as peer:
-        stream = stream_to(peer)
-        connection = stream._loop_connection
+        connection = connection_to(peer)
+        stream = stream_of(connection)
 
         def begin_and_close() -> None:
             connection.start_quietly()
-            connection._stop()
+            connection.abandon()
 
         thread = asyncio.get_running_loop().run_in_executor(None, begin_and_close)
-        while not connection._life.is_closed:  # block the loop, so that it does not read
+        while connection.state is not ConnectionState.CLOSED:  # block the loop, so that it does not read
             time.sleep(0.001)
         await thread
         begun = clock.now()
-        assert await asyncio.to_thread(connection._join_reader, 2 * _AT_ONCE)
+        assert await asyncio.to_thread(connection.join, 2 * _AT_ONCE)
         assert clock.now() - begun < _AT_ONCE
         await _without_threads(stream)
 
 
 @awaited
-async def test_abort_in_a_thread_waits_for_the_loop_only() -> None:
+async def test_abort_from_a_thread_waits_until_the_loop_has_aborted() -> None:
     handover, loop_connection._HANDOVER = loop_connection._HANDOVER, 2 * _AT_ONCE
     try:
-        async with listening() as peer, stream_to(peer) as stream:
+        async with listening() as peer, stream_of(connection := connection_to(peer)) as stream:
             packets = stream.iterate(block)
             await packets.open()
             begun = clock.now()
-            await asyncio.to_thread(stream._loop_connection.abort)
+            await asyncio.to_thread(connection.abort)
             assert clock.now() - begun < _AT_ONCE
             await packets.aclose()
             await _without_threads(stream)
@@ -108,21 +108,21 @@ async def test_abort_in_a_thread_waits_for_the_loop_only() -> None:
 
 @awaited
 async def test_thread_can_close_a_connecting_stream() -> None:
-    async with listening() as peer:
-        stream = stream_to(peer)
-        connection = stream._loop_connection
-        may_connect = asyncio.Event()
-        connect = connection._transport.connect
+    is_connecting, may_connect = asyncio.Event(), asyncio.Event()
 
-        async def slowly(timeout: float) -> None:
+    class Slow(AwaitedTcp):
+        async def connect(self, timeout: float) -> None:
+            is_connecting.set()
             await may_connect.wait()
-            await connect(timeout)
+            await super().connect(timeout)
 
-        connection._transport.connect = slowly  # type: ignore[method-assign]
+    async with listening() as peer:
+        connection = connection_to(peer, tcp=Slow)
+        stream = stream_of(connection)
         connecting = asyncio.ensure_future(connection.connected())
-        await come(lambda: connection._opening is not None)
+        await is_connecting.wait()
         begun = clock.now()
-        await asyncio.to_thread(connection._stop)
+        await asyncio.to_thread(connection.abandon)
         assert clock.now() - begun < _AT_ONCE
         may_connect.set()
         with contextlib.suppress(LinkError):

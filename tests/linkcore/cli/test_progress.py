@@ -61,7 +61,7 @@ def test_terminal_shows_a_bar_and_erases_it(monkeypatch: pytest.MonkeyPatch) -> 
     assert sys.stdout is terminal
 
 
-def test_terminal_shows_work_of_unknown_length(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_shows_elapsed_time_when_length_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = on_terminal(monkeypatch)
     with ProgressBar("connecting"):
         until(lambda: "\rconnecting  0 s" in terminal.getvalue())
@@ -93,7 +93,7 @@ def test_bar_is_not_drawn_after_an_unfinished_line(monkeypatch: pytest.MonkeyPat
         until(lambda: "the next step" in terminal.getvalue())
 
 
-def test_last_called_bar_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bar_with_the_latest_update_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = on_terminal(monkeypatch)
     with ProgressBar("outer") as outer:
         with ProgressBar("inner") as inner:
@@ -106,7 +106,7 @@ def test_last_called_bar_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
         until(lambda: terminal.getvalue().count("outer [") > shown)
 
 
-def test_other_streams_get_plain_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_prints_plain_lines_without_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     lines = with_lines(monkeypatch)
     with ProgressBar("reading") as progress:
         until(lambda: "reading: after 0 s\n" in lines.getvalue())
@@ -116,7 +116,7 @@ def test_other_streams_get_plain_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "\x1b" not in lines.getvalue()
 
 
-def test_short_and_quiet_work_show_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_shows_nothing_for_short_or_quiet_work(monkeypatch: pytest.MonkeyPatch) -> None:
     lines = with_lines(monkeypatch)
     monkeypatch.setattr(module, "_FIRST", 60.0)
     with ProgressBar("reading", quiet=True) as progress:
@@ -142,13 +142,13 @@ def test_progress_estimates_the_remaining_time(monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.mark.parametrize("columns", [1, 20, 60, 80])
-def test_drawn_line_fits_the_terminal(columns: int) -> None:
+def test_progress_line_fits_the_terminal(columns: int) -> None:
     progress = ProgressBar("reading " + "long/" * 40, quiet=True)
     progress(0.5)
     assert len(progress.drawn(columns)) < columns
 
 
-def test_missing_threads_do_not_stop_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_works_when_no_thread_can_start(monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(thread: object) -> None:
         raise RuntimeError("can't start new thread")
 

@@ -18,18 +18,18 @@ from tests.waiting import until
 pytestmark = pytest.mark.real_time
 
 TIMEOUT = 10.0
-Say = Callable[[HttpRequest], Iterator[bytes]]
+Respond = Callable[[HttpRequest], Iterator[bytes]]
 
 
 class WebServer(OneAfterAnother):
-    """Server that answers each request with the pieces that `say` yields, and closes the connection.
+    """Server that answers each request with the pieces that `respond` yields, and closes the connection.
 
     Attributes:
         asked: Received requests.
     """
 
-    def __init__(self, say: Say) -> None:
-        self._say = say
+    def __init__(self, respond: Respond) -> None:
+        self._respond = respond
         self.asked: list[HttpRequest] = []
         super().__init__(TIMEOUT)
 
@@ -39,16 +39,16 @@ class WebServer(OneAfterAnother):
             request = parser.feed(connection.recv(65536))
         assert isinstance(request, HttpRequest)
         self.asked.append(request)
-        for piece in self._say(request):
+        for piece in self._respond(request):
             connection.sendall(piece)
 
 
 @pytest.fixture
-def serve() -> Iterator[Callable[[Say], WebServer]]:
+def serve() -> Iterator[Callable[[Respond], WebServer]]:
     made: list[WebServer] = []
 
-    def serve(say: Say) -> WebServer:
-        made.append(WebServer(say))
+    def serve(respond: Respond) -> WebServer:
+        made.append(WebServer(respond))
         return made[-1]
 
     yield serve
@@ -56,21 +56,21 @@ def serve() -> Iterator[Callable[[Say], WebServer]]:
         server.close()
 
 
-Serve = Callable[[Say], WebServer]
+Serve = Callable[[Respond], WebServer]
 
 
-def once(response: HttpResponse) -> Say:
+def once(response: HttpResponse) -> Respond:
     return lambda request: iter([response.encode()])
 
 
 def test_redirect_keeps_method_and_body(serve: Serve) -> None:
     there = serve(once(HttpResponse(200, "OK", {}, b"there")))
 
-    def say(request: HttpRequest) -> Iterator[bytes]:
+    def respond(request: HttpRequest) -> Iterator[bytes]:
         where = {"/a": "/b?c=d", "/b?c=d": f"http://127.0.0.1:{there.port}/end", "/see": "/other"}[request.target]
         yield HttpResponse(303 if request.target == "/see" else 307, "", {"Location": where}).encode()
 
-    here = serve(say)
+    here = serve(respond)
     client = HttpClient("127.0.0.1", here.port)
     assert client.ask(HttpRequest("PUT", "/a", {}, b"body"), TIMEOUT).body == b"there"
     asked = [(each.method, each.target, each.body) for each in [*here.asked, *there.asked]]
@@ -140,7 +140,7 @@ def test_close_ends_a_waiting_request(serve: Serve) -> None:
 
     threading.Thread(target=close).start()
     try:
-        with pytest.raises(Closed, match="was closed while GET / waited"):
+        with pytest.raises(Closed, match="was closed while GET / was waiting"):
             client.ask(HttpRequest("GET", "/"), TIMEOUT)
     finally:
         is_over.set()

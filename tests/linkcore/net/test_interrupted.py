@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import socket
-import sys
 import threading
 from collections.abc import Callable, Iterator
 
@@ -17,6 +16,7 @@ from linkcore.net.transport import TcpTransport
 from linkcore.net.undo import PendingUndos, Undo
 from linkcore.pending_call import PendingCall
 from linkcore.wire.http import HttpRequest
+from tests import platforms
 from tests.waiting import until
 
 pytestmark = pytest.mark.simulated_time
@@ -149,7 +149,7 @@ def test_abandoned_http_request_ends_without_an_answer(server: Server) -> None:
 
 
 @pytest.mark.real_time
-@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the wait lasts until its timeout")
+@platforms.needs_linux
 def test_abandoned_connect_ends() -> None:
     """The kernel does not answer, because the queue of the listener is full."""
     with socket.create_server(("127.0.0.1", 0), backlog=0) as listener:
@@ -206,7 +206,7 @@ def test_answered_command_is_undone_without_a_new_thread(monkeypatch: pytest.Mon
     undos.close()
 
 
-def test_superseded_command_is_not_undone() -> None:
+def test_dropped_command_is_not_undone_when_its_call_is_aborted() -> None:
     undos, call = PendingUndos("robot"), PendingCall()
     undo = Undo(Closeable, lambda client, is_wanted: None)
 

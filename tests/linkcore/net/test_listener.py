@@ -14,6 +14,7 @@ import pytest
 import linkcore.net.listener
 from linkcore.errors import BadAddress, ConnectFailed, ConnectionLost, LinkTimeout
 from linkcore.net.listener import TcpListener, local_address
+from tests.witnesses import sockets_made
 
 pytestmark = pytest.mark.real_time
 
@@ -53,10 +54,9 @@ def test_accepted_connection_sends_and_receives(listener: TcpListener) -> None:
 
 
 def test_accepted_connection_has_nodelay(listener: TcpListener) -> None:
-    with socket.create_connection(listener.address, TIMEOUT):
+    with socket.create_connection(listener.address, TIMEOUT), sockets_made() as made:
         link = listener.accept(TIMEOUT)
-        assert link._socket is not None
-        assert link._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+        assert made[0].getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
         link.close()
 
 
@@ -76,7 +76,7 @@ def test_receive_of_accepted_connection_times_out(listener: TcpListener, monkeyp
         link.close()
 
 
-def test_next_peer_is_accepted_after_a_reset_one(listener: TcpListener) -> None:
+def test_next_peer_is_accepted_after_a_peer_was_reset(listener: TcpListener) -> None:
     peer = socket.create_connection(listener.address, TIMEOUT)
     peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     peer.close()

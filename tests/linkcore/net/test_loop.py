@@ -9,7 +9,6 @@ import logging
 import os
 import socket
 import struct
-import sys
 import threading
 import weakref
 from collections.abc import Callable, Iterator
@@ -19,6 +18,7 @@ import pytest
 import linkcore.clock
 from linkcore.errors import BadAddress, BadValue, LinkTimeout
 from linkcore.net.loop import Connection, Handler, ListeningPort, SelectorLoop
+from tests import platforms
 from tests.fakes.clock import Clock
 from tests.waiting import until
 
@@ -35,13 +35,13 @@ class Recorder(Handler):
         self.data = b""
         self.drains = 0
         self.losses: list[tuple[str, bool]] = []
-        self._on_data = on_data
+        self.on_data = on_data
 
     def data_received(self, data: bytes) -> None:
         assert not self.losses
         self.data += data
-        if self._on_data is not None:
-            self._on_data(self.connection, data)
+        if self.on_data is not None:
+            self.on_data(self.connection, data)
 
     def drained(self) -> None:
         assert self.connection.pending == 0
@@ -117,7 +117,7 @@ def is_reset(link: socket.socket) -> bool:
             pass
     except ConnectionResetError:
         return True
-    return False
+    return platforms.was_reset(link)
 
 
 # -- bytes -------------------------------------------------------------------------------------------
@@ -138,7 +138,7 @@ def test_clients_get_their_own_replies(bench: Bench) -> None:
     )
 
 
-def test_connection_has_the_address_of_its_peer(bench: Bench) -> None:
+def test_connection_reports_the_address_of_its_peer(bench: Bench) -> None:
     link, handler = bench.client()
     assert handler.connection.peer == link.getsockname()
     assert handler.connection.name == "{}:{}".format(*link.getsockname())
@@ -202,7 +202,7 @@ def test_loop_reads_at_most_one_chunk_at_a_time() -> None:
         assert max(sizes) <= 100
 
 
-def test_pause_reading_makes_the_client_wait(bench: Bench) -> None:
+def test_pause_reading_defers_data_until_resume_reading(bench: Bench) -> None:
     link, handler = bench.client()
     handler.connection.pause_reading()
     link.sendall(b"later")
@@ -226,7 +226,7 @@ def test_closed_connection_gets_no_data_of_the_same_poll(bench: Bench) -> None:
                 closed.append(handler.connection)
 
     for link, handler in links:
-        handler._on_data = close_the_others
+        handler.on_data = close_the_others
         link.sendall(b"x")
     bench.serve(lambda: sum(len(handler.data) for _, handler in links))
     assert len(closed) == 3
@@ -283,7 +283,7 @@ def test_data_sent_before_a_reset_is_received(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("reset", [False, True])
-def test_close_reports_its_reason_later(bench: Bench, reset: bool) -> None:
+def test_close_reports_its_reason_after_it_has_returned(bench: Bench, reset: bool) -> None:
     link, handler = bench.client()
     handler.connection.close(reset=reset, reason="enough")
     handler.connection.close()
@@ -350,7 +350,7 @@ def finish_and_wait_too_long(bench: Bench, handler: Recorder) -> None:
     assert handler.losses == [("closed by this side", False)]
 
 
-def test_deadline_resets_the_connection_unless_moved_or_cleared(bench: Bench) -> None:
+def test_deadline_resets_connection_unless_postponed_or_cleared(bench: Bench) -> None:
     link, late = bench.client()
     _, moved = bench.client()
     _, cleared = bench.client()
@@ -572,7 +572,7 @@ def test_failed_greeting_closes_the_connection(bench: Bench, monkeypatch: pytest
     assert not bench.port.connections
 
 
-def test_loop_waits_before_accepting_without_descriptors(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_loop_delays_accept_when_descriptors_are_exhausted(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     attempts: list[float] = []
     real = bench.port._socket
 
@@ -600,7 +600,7 @@ def test_loop_waits_before_accepting_without_descriptors(bench: Bench, monkeypat
     bench.serve(lambda: bench.handlers[0].data)
 
 
-def test_port_can_refuse_and_listen_again(bench: Bench) -> None:
+def test_port_can_stop_listening_and_listen_again(bench: Bench) -> None:
     _, kept = bench.client()
     number = bench.port.number
     bench.port.refuse()
@@ -615,7 +615,7 @@ def test_port_can_refuse_and_listen_again(bench: Bench) -> None:
     assert kept.connection.is_open
 
 
-def test_paused_port_makes_clients_wait(bench: Bench) -> None:
+def test_paused_port_accepts_no_client_until_resumed(bench: Bench) -> None:
     bench.port.pause()
     waiting = bench.connect()
     waiting.sendall(b"x")
@@ -632,7 +632,7 @@ def test_paused_port_makes_clients_wait(bench: Bench) -> None:
 )
 def test_listen_accepts_clients_on_each_host(host: str, reached: str) -> None:
     if ":" in host and not has_ipv6():
-        pytest.skip("this computer has no IPv6")
+        pytest.skip(platforms.MACHINE)
     loop = SelectorLoop()
     with contextlib.closing(loop):
         port = loop.listen(host, 0, Recorder)
@@ -645,7 +645,7 @@ def test_listen_accepts_clients_on_each_host(host: str, reached: str) -> None:
 
 def test_listen_on_ipv6_any_accepts_both_families() -> None:
     if not has_ipv6():
-        pytest.skip("this computer has no IPv6")
+        pytest.skip(platforms.MACHINE)
     loop = SelectorLoop()
     with contextlib.closing(loop):
         port = loop.listen("::", 0, Recorder)
@@ -705,7 +705,7 @@ def test_serve_once_does_not_return_before_its_deadline() -> None:
             assert loop.time() >= begun + seconds - 1e-6
 
 
-def test_loop_works_without_select(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_loop_keeps_deadlines_with_many_descriptors(monkeypatch: pytest.MonkeyPatch) -> None:
     """A process with more than a thousand descriptors uses another selector, which waits whole milliseconds."""
     bench = Bench()
     monkeypatch.setattr(bench.loop, "_select_from", None)
@@ -721,7 +721,7 @@ def test_loop_works_without_select(monkeypatch: pytest.MonkeyPatch) -> None:
         )
 
 
-def test_late_owner_does_not_starve_its_clients(bench: Bench) -> None:
+def test_pending_data_is_served_when_deadline_has_passed(bench: Bench) -> None:
     """Even after the deadline, all pending events are served if they take no longer than a millisecond."""
     links = [bench.client() for _ in range(20)]
     for link, _ in links:
@@ -731,14 +731,14 @@ def test_late_owner_does_not_starve_its_clients(bench: Bench) -> None:
     assert all(handler.data for _, handler in links)
 
 
-def test_clients_do_not_make_their_owner_late(bench: Bench) -> None:
+def test_serve_once_returns_at_deadline_despite_slow_clients(bench: Bench) -> None:
     links = [bench.client() for _ in range(20)]
 
     def take_long(connection: Connection, data: bytes) -> None:
         bench.clock.now += 0.1
 
     for link, handler in links:
-        handler._on_data = take_long
+        handler.on_data = take_long
         link.sendall(b"x")
     until(lambda: all(readable(handler.connection) for _, handler in links))
     bench.loop.serve_once(bench.clock.now + 0.25)
@@ -849,7 +849,7 @@ def test_every_call_runs_once_when_the_loop_closes(served: Served) -> None:
     assert sorted(done) == list(range(400))
 
 
-def test_wake_works_before_and_after_close(served: Served) -> None:
+def test_wake_raises_nothing_before_and_after_close(served: Served) -> None:
     served.loop.wake()
     served.loop.call(lambda: None, TIMEOUT)
     served.close()
@@ -857,8 +857,8 @@ def test_wake_works_before_and_after_close(served: Served) -> None:
 
 
 def descriptors() -> int:
-    if not sys.platform.startswith("linux"):
-        pytest.skip("descriptors are counted on Linux only")
+    if not platforms.IS_LINUX:
+        pytest.skip(platforms.LINUX)
     gc.collect()
     return len(os.listdir("/proc/self/fd"))
 

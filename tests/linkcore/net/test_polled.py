@@ -7,12 +7,12 @@ import gc
 import os
 import socket
 import struct
-import sys
 from collections.abc import Iterator
 
 import pytest
 
 from linkcore.net.polled import PolledConnection
+from tests import platforms
 from tests.waiting import until
 
 pytestmark = pytest.mark.real_time
@@ -40,19 +40,19 @@ def opened(listener: socket.socket) -> tuple[PolledConnection, socket.socket]:
 
 
 def descriptors() -> int:
-    if not sys.platform.startswith("linux"):
-        pytest.skip("descriptors are counted on Linux only")
+    if not platforms.IS_LINUX:
+        pytest.skip(platforms.LINUX)
     gc.collect()
     return len(os.listdir("/proc/self/fd"))
 
 
-def test_connection_comes_from_its_source(listener: socket.socket) -> None:
+def test_polled_connection_uses_the_source_address(listener: socket.socket) -> None:
     source = "127.0.0.2"
     with socket.socket() as probe:
         try:
             probe.bind((source, 0))
         except OSError:
-            pytest.skip("this system has only one loopback address")
+            pytest.skip(platforms.MACHINE)
     connection = PolledConnection("127.0.0.1", port(listener), source=source)
     peer, address = listener.accept()
     with peer:
@@ -108,7 +108,7 @@ def test_invalid_address_fails_immediately(host: str, number: int) -> None:
     assert descriptors() == before
 
 
-def test_data_before_the_end_can_be_read(listener: socket.socket) -> None:
+def test_data_sent_before_the_close_can_be_read(listener: socket.socket) -> None:
     before = descriptors()
     connection, peer = opened(listener)
     with peer:
@@ -162,11 +162,12 @@ def test_full_receive_buffer_blocks_the_peer(listener: socket.socket) -> None:
         connection.close()
 
 
+@platforms.needs_linux
 def test_connection_works_with_high_descriptors(listener: socket.socket) -> None:
     resource = pytest.importorskip("resource")
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if hard < 2000:
-        pytest.skip("this computer does not allow 2000 open files")
+        pytest.skip(platforms.MACHINE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 2000), hard))
     taken: list[int] = []
     try:

@@ -23,6 +23,8 @@ import linkcore.net.transport
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, RemoteError
 from linkcore.net.awaited import AwaitedTcp
 from linkcore.net.transport import TcpTransport
+from tests import platforms
+from tests.witnesses import sockets_made
 
 pytestmark = pytest.mark.real_time
 
@@ -89,8 +91,7 @@ def is_ended(connection: socket.socket) -> bool:
 
 def has_come(transport: TcpTransport) -> bool:
     """Wait until data can be received; return whether it can."""
-    assert transport._socket is not None
-    return bool(select.select([transport._socket], [], [], TIMEOUT)[0])
+    return bool(select.select([transport], [], [], TIMEOUT)[0])
 
 
 def unused_port() -> int:
@@ -231,7 +232,7 @@ def test_open_tries_the_second_address_without_ipv6(
 
 
 @pytest.mark.parametrize("kind", [TcpTransport, AwaitedTcp])
-def test_refused_first_address_leaves_no_reference_cycle(
+def test_open_leaves_no_reference_cycle_if_first_address_refuses(
     peer: Peer, monkeypatch: pytest.MonkeyPatch, kind: type[TcpTransport | AwaitedTcp]
 ) -> None:
     """A cycle would keep the error of the first address alive, with the frames and variables of all callers."""
@@ -270,12 +271,17 @@ def test_open_closes_the_socket_when_its_setup_fails(peer: Peer, monkeypatch: py
     monkeypatch.setattr(linkcore.net.transport, "_set_receive_timeout", fail)
     with pytest.raises(ConnectFailed, match="Invalid argument"):
         TcpTransport("127.0.0.1", peer.port, silence=1).open(TIMEOUT)
-    assert is_ended(peer.accept())
+    if platforms.IS_WINE:  # it cannot accept a connection that was reset meanwhile
+        with pytest.raises(OSError, match="10057"):
+            peer.accept()
+    else:
+        assert is_ended(peer.accept())
 
 
 def test_sockets_have_nodelay_and_keepalive(transport: TcpTransport) -> None:
-    connection = transport._socket
-    assert connection is not None
+    with sockets_made() as made:
+        transport.open(TIMEOUT)
+    (connection,) = made
     assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
     assert connection.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
 
@@ -308,7 +314,7 @@ def test_receive_times_out_after_silence(peer: Peer, silence: float) -> None:
     transport.close()
 
 
-def test_receive_accepts_its_own_timeout(transport: TcpTransport, peer: Peer) -> None:
+def test_receive_timeout_argument_overrides_the_default(transport: TcpTransport, peer: Peer) -> None:
     for timeout in (0.05, 0.05, 0.0, -1.0):
         began = linkcore.clock.now()
         with pytest.raises(LinkTimeout, match=f"nothing received within {max(timeout, 0):g} s"):
@@ -320,7 +326,7 @@ def test_receive_accepts_its_own_timeout(transport: TcpTransport, peer: Peer) ->
     assert transport.receive()[0] == b"later"  # uses the timeout of the transport
 
 
-def test_receive_waiting_does_not_wait(transport: TcpTransport, peer: Peer) -> None:
+def test_receive_waiting_returns_none_without_data(transport: TcpTransport, peer: Peer) -> None:
     assert transport.receive_waiting() is None
     peer.connections[-1].sendall(b"there")
     assert has_come(transport)
@@ -349,7 +355,9 @@ def test_receive_raises_when_the_peer_closes(transport: TcpTransport, peer: Peer
 
 def test_receive_raises_connection_lost_on_reset(transport: TcpTransport, peer: Peer) -> None:
     peer.reset()
-    with pytest.raises(ConnectionLost, match=r"127\.0\.0\.1.*reset"):
+    # Under Wine, `recv` reports a reset as an orderly end.
+    how = "closed" if platforms.IS_WINE else "reset"
+    with pytest.raises(ConnectionLost, match=rf"127\.0\.0\.1.*{how}"):
         transport.receive()
 
 
@@ -445,12 +453,13 @@ def test_concurrent_sends_are_both_delivered(transport: TcpTransport, peer: Peer
         assert each.error is None
 
 
+@platforms.needs_linux
 def test_transport_works_with_high_descriptors(transport: TcpTransport, peer: Peer) -> None:
     """`select` supports descriptors below 1024 only, and a program with many robots has higher ones."""
     resource = pytest.importorskip("resource")
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if hard != resource.RLIM_INFINITY and hard < 1200:
-        pytest.skip("no more than 1200 files may be open here")
+        pytest.skip(platforms.MACHINE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 1200), hard))
     with contextlib.ExitStack() as stack:
         for _ in range(550):
@@ -459,8 +468,7 @@ def test_transport_works_with_high_descriptors(transport: TcpTransport, peer: Pe
         high = TcpTransport("127.0.0.1", peer.port, silence=TIMEOUT)
         stack.callback(high.close)
         high.open(TIMEOUT)
-        assert high._socket is not None
-        assert high._socket.fileno() >= 1024
+        assert high.fileno() >= 1024
         high.send(b"hello", TIMEOUT)
         assert peer.accept().recv(10) == b"hello"
     resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))

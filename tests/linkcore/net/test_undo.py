@@ -14,7 +14,7 @@ import pytest
 
 from linkcore.errors import Closed, ConnectFailed, LinkTimeout
 from linkcore.net.undo import PendingUndos, Undo
-from tests.waiting import until
+from tests.waiting import threads_named, until
 
 pytestmark = pytest.mark.simulated_time
 
@@ -69,6 +69,11 @@ def give_up(undos: PendingUndos, peer: Peer, name: str = "play") -> None:
     fail(undos, name, peer.undo(name))
 
 
+def has_rested() -> bool:
+    """Whether no thread undoes commands."""
+    return not threads_named("robot undo")
+
+
 def test_answered_command_is_not_undone(undos: PendingUndos) -> None:
     peer = Peer()
     with undos.command("play", 0.0, peer.undo("play")):
@@ -86,7 +91,7 @@ def test_abandoned_command_is_undone_once_at_first_contact(undos: PendingUndos) 
     peer.contact.set()
     assert undos.settle(TIMEOUT)
     assert undos.pending == ()
-    until(lambda: undos._thread is None)
+    until(has_rested)
     assert peer.undone == ["play"]
     # The next abandoned command is undone in the same way.
     give_up(undos, peer)
@@ -107,7 +112,7 @@ def test_newer_command_waits_for_the_undo_or_is_not_sent(undos: PendingUndos) ->
         assert peer.undone == ["play"]
 
 
-def test_attempts_follow_each_other_while_the_peer_hangs(undos: PendingUndos) -> None:
+def test_next_undo_attempt_starts_soon_after_the_last_one(undos: PendingUndos) -> None:
     """Each attempt waits for its answer, and the next one starts shortly after, however long the peer hangs."""
     attempts: list[tuple[float, float]] = []
 
@@ -137,16 +142,16 @@ def test_drop_removes_the_undo_even_during_an_attempt(undos: PendingUndos) -> No
     assert waiting.wait(TIMEOUT)
     undos.drop()
     contact.set()
-    until(lambda: undos._thread is None)
+    until(has_rested)
     assert undone == []
 
 
 def test_pending_commands_are_undone_independently(undos: PendingUndos) -> None:
     deaf, peer = Peer(), Peer()
     peer.contact.set()
-    give_up(undos, deaf, "gripper")
-    with undos._lock:
-        undos._pending["play"] = peer.undo("play")
+    with undos.command("play", 0.0, peer.undo("play")) as sent:
+        give_up(undos, deaf, "gripper")  # as another thread does meanwhile
+    sent()
     until(lambda: undos.pending == ("gripper",))
     assert peer.undone == ["play"]
 
@@ -159,7 +164,7 @@ def test_no_command_is_undone_after_close(undos: PendingUndos) -> None:
     peer.contact.set()
     give_up(undos, peer)
     assert undos.settle(0.0)
-    until(lambda: undos._thread is None)
+    until(has_rested)
     assert peer.undone == []
     assert peer.attempts <= attempts + 1
 
@@ -176,9 +181,9 @@ def test_pending_undos_are_kept_for_the_next_user() -> None:
         assert not PendingUndos.is_owed(key)
         give_up(undos, peer)
         undos.close(user)
-        until(lambda: undos._thread is None)
+        until(has_rested)
         give_up(undos, peer, "gripper")  # a waiting call ends because its robot is closed
-        assert undos._thread is None
+        assert has_rested()
 
     use_and_close()
     gc.collect()
@@ -205,17 +210,17 @@ def test_users_share_undos_and_the_last_close_ends_the_thread() -> None:
     give_up(undos, peer)
     undos.close(first)
     undos.close(first)
-    assert undos._thread is not None
+    assert not has_rested()
     with pytest.raises(LinkTimeout), undos.command("set", 0.05):
         pytest.fail("sent")
     undos.close(second)
-    until(lambda: undos._thread is None)
+    until(has_rested)
     PendingUndos.of(key, "robot", first).drop()
     assert not PendingUndos.is_owed(key)
     undos.close(first)
 
 
-def test_users_of_a_part_and_of_the_whole_share_undos() -> None:
+def test_robot_and_dashboard_share_pending_undos() -> None:
     peer, whole, part, first, second = Peer(), object(), object(), User(), User()
     undos = PendingUndos.of(whole, "robot", first, part)
     assert PendingUndos.of(part, "dashboard", second) is undos
@@ -231,7 +236,7 @@ def test_users_of_a_part_and_of_the_whole_share_undos() -> None:
 
 
 @pytest.mark.parametrize("is_used", [False, True])
-def test_user_of_the_whole_undoes_commands_of_unused_parts(is_used: bool) -> None:
+def test_robot_undoes_commands_of_closed_parts(is_used: bool) -> None:
     peer, parts, users = Peer(), [object(), object()], [User(), User(), User()]
     owed = [PendingUndos.of(part, "part", user) for part, user in zip(parts, users[:2], strict=True)]
     for undos, name, user in zip(owed, ("play", "gripper"), users[:2], strict=True):
@@ -262,7 +267,7 @@ def test_last_close_aborts_a_waiting_attempt() -> None:
     fail(undos, "play", Undo(Client, undo))
     assert waiting.wait(TIMEOUT)
     undos.close(user)
-    until(lambda: undos._thread is None)
+    until(has_rested)
     assert PendingUndos.is_owed(key)
     undos.drop()
 

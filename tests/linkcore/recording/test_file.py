@@ -117,7 +117,7 @@ def test_unknown_channel_error_lists_the_channels(tmp_path: Path) -> None:
     writer.close()
     recording = RecordingFile(tmp_path / "run")
     assert recording.channel("right") == 1
-    with pytest.raises(BadRecording, match="contains no middle; it contains left, right"):
+    with pytest.raises(BadRecording, match="has no channel 'middle'; its channels are left, right"):
         recording.channel("middle")
 
 
@@ -177,7 +177,7 @@ def test_existing_file_is_not_overwritten(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["no/such/folder/run", "nul\0", "x" * 5000])
-def test_unusable_path_raises_bad_recording(tmp_path: Path, name: str) -> None:
+def test_path_that_cannot_be_written_raises_bad_recording(tmp_path: Path, name: str) -> None:
     with pytest.raises(BadRecording, match="cannot write"):
         RecordingWriter(tmp_path / name)
     with pytest.raises(BadRecording, match="cannot read"):
@@ -265,7 +265,7 @@ def test_writer_closes_its_file_when_the_disk_is_full(tmp_path: Path, monkeypatc
 # -- damage -------------------------------------------------------------------------------------------
 
 
-def test_truncated_file_reads_up_to_the_cut(tmp_path: Path) -> None:
+def test_truncated_file_yields_all_complete_records(tmp_path: Path) -> None:
     data, records, ends = sample(tmp_path / "whole")
     for cut in range(len(data)):
         (tmp_path / "cut").write_bytes(data[:cut])
@@ -341,7 +341,7 @@ def test_invalid_descriptions_raise_bad_recording(tmp_path: Path, kind: Kind, pa
         RecordingFile(tmp_path / "run")
 
 
-def test_absurd_record_length_is_skipped(tmp_path: Path) -> None:
+def test_record_with_impossible_length_is_skipped(tmp_path: Path) -> None:
     (tmp_path / "run").write_bytes(MAGIC + struct.pack(">II", 0xFFFFFFFF, 0) + b"x" * 50)
     assert RecordingFile(tmp_path / "run").left_out == 58
 

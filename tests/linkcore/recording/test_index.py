@@ -54,7 +54,7 @@ def test_index_finds_the_records_of_the_reader(runs: list[tuple[int, int]], cut:
 @pytest.mark.property
 @given(st.integers(1, 300), st.integers(0, 20), st.integers(0, 10_000), st.integers(1, 255))
 @example(count=23, size=0, place=445, change=104)  # the damaged length leads to another record
-def test_damaged_byte_costs_one_record(count: int, size: int, place: int, change: int) -> None:
+def test_damaged_byte_invalidates_only_its_record(count: int, size: int, place: int, change: int) -> None:
     whole = [record(number, size) for number in range(count)]
     data = bytearray(MAGIC + b"".join(whole))
     at = len(MAGIC) + place % (len(data) - len(MAGIC))
@@ -74,7 +74,7 @@ def test_damaged_byte_costs_one_record(count: int, size: int, place: int, change
 @pytest.mark.property
 @given(st.integers(0, 1500), st.integers(0, 60), st.lists(st.integers(0, 1499), max_size=4))
 @pytest.mark.simulated_time
-def test_intact_finds_damaged_records_among_many(count: int, size: int, damaged: list[int]) -> None:
+def test_intact_marks_exactly_the_damaged_records(count: int, size: int, damaged: list[int]) -> None:
     stride = len(record(0, size))
     data = bytearray(b"?" + b"".join(record(number, size) for number in range(count)))
     hit = {number for number in damaged if number < count}

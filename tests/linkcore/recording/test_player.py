@@ -24,7 +24,7 @@ from linkcore.recording.recorder import Recorder
 from linkcore.streaming.connection_life import ConnectionEvent, ConnectionState
 from linkcore.streaming.stream import Stream
 from tests.fakes.link import Count, ScriptedTransport, counts, scripted
-from tests.waiting import until
+from tests.waiting import threads_named, until
 
 #: Seconds, and the received bytes or the state of an event.
 Line = tuple[float, bytes | str]
@@ -122,7 +122,7 @@ def test_replay_at_rate_zero_does_not_wait(tmp_path: Path) -> None:
 
 
 @pytest.mark.simulated_time
-def test_channels_share_one_time_line(tmp_path: Path) -> None:
+def test_channels_are_replayed_on_one_time_line(tmp_path: Path) -> None:
     recording = write(tmp_path / "run", [(0, b"a"), (4, b"b")], [(1, b"c"), (3, b"d")])
     shared = ReplayTimeline(recording)
     left, right = (ReplayTransport(recording, name, shared) for name in "01")
@@ -184,7 +184,7 @@ def test_open_times_out_during_a_long_recorded_loss(tmp_path: Path) -> None:
 
 
 @pytest.mark.simulated_time
-def test_replay_finishes_when_the_loss_was_final(tmp_path: Path) -> None:
+def test_replay_finishes_after_the_last_recorded_connection_loss(tmp_path: Path) -> None:
     transport = opened(write(tmp_path / "run", [(0, b"a"), (1, "lost"), (2, "connecting"), (3, "lost")]))
     transport.receive()
     with pytest.raises(ConnectionLost):
@@ -196,7 +196,7 @@ def test_replay_finishes_when_the_loss_was_final(tmp_path: Path) -> None:
 
 
 @pytest.mark.simulated_time
-def test_late_channel_opens_immediately(tmp_path: Path) -> None:
+def test_replayed_channel_opens_at_once_if_it_was_connected_late(tmp_path: Path) -> None:
     lines: list[Line] = [(60, "connecting"), (61, "connected"), (62, b"c")]
     elapsed = Elapsed()
     transport = opened(write(tmp_path / "run", [(0, b"a")], lines), channel="1")
@@ -245,7 +245,7 @@ def test_send_to_a_recording_raises_bad_value(tmp_path: Path) -> None:
 
 def test_missing_channel_raises_bad_recording(tmp_path: Path) -> None:
     recording = write(tmp_path / "run", [(0, b"a")])
-    with pytest.raises(BadRecording, match="contains no realtime; it contains 0"):
+    with pytest.raises(BadRecording, match="has no channel 'realtime'; its channels are 0"):
         ReplayTransport(recording, "realtime", ReplayTimeline(recording))
 
 
@@ -346,13 +346,13 @@ def test_close_of_a_waiting_replay_is_quick(tmp_path: Path) -> None:
     stream = replaying(tmp_path / "run", rate=1)
     assert stream.wait(10).number == 1
     stream.close()
-    assert all("replay" not in thread.name for thread in threading.enumerate())
+    assert not threads_named("replay")
 
 
 @pytest.mark.property
 @given(st.lists(st.binary(min_size=1, max_size=30), max_size=20), st.data())
 @pytest.mark.simulated_time
-def test_recording_a_replay_equals_the_recording(chunks: list[bytes], data: st.DataObject) -> None:
+def test_recording_of_a_replay_equals_the_original(chunks: list[bytes], data: st.DataObject) -> None:
     """A recording of a replay has the same contents as the replayed file, for any bytes and chunks."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

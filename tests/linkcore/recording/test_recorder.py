@@ -197,7 +197,7 @@ def test_undecodable_bytes_are_recorded(stream: Stream[Count], transport: Script
     assert recorded(tmp_path / "run") == b"junk" + counts(666) + b"\x00"
 
 
-def test_slow_disk_makes_the_stream_wait_without_loss(
+def test_slow_disk_delays_the_stream_but_loses_no_packet(
     stream: Stream[Count], transport: ScriptedTransport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     gate = Gate(monkeypatch)

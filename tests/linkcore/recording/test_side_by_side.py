@@ -7,12 +7,13 @@ import threading
 import pytest
 
 from linkcore.recording.index import side_by_side
+from tests.waiting import threads_named
 
 
 @pytest.mark.parametrize("processors", [1, 3])
 @pytest.mark.parametrize("size", [0, 1, 10, 11, 95])
 @pytest.mark.simulated_time
-def test_side_by_side_returns_every_share_once_in_order(
+def test_side_by_side_returns_results_in_order_of_the_input(
     processors: int, size: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("os.cpu_count", lambda: processors)
@@ -28,4 +29,4 @@ def test_side_by_side_runs_in_parallel_and_raises_errors(monkeypatch: pytest.Mon
     assert side_by_side(lambda begin, _: both.wait() >= 0 and begin, 0, 2, 1) == [0, 1]
     with pytest.raises(ZeroDivisionError):
         side_by_side(lambda begin, _: 1 // (3 - begin), 0, 8, 1)
-    assert not [thread for thread in threading.enumerate() if "recording" in thread.name]
+    assert not threads_named("recording")

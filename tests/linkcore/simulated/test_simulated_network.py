@@ -21,12 +21,13 @@ from hypothesis import strategies as st
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
 from linkcore.net.transport import TcpTransport
 from linkcore.simulated import Computer, Simulation, simulated_time
+from tests import platforms
 
 if sys.platform != "win32":
     import fcntl
     import termios
 
-posix = pytest.mark.skipif(sys.platform == "win32", reason="this operating system has no poll and no TIOCOUTQ")
+posix = platforms.needs_linux
 
 PORT = 30001
 RESET = struct.pack("ii", 1, 0)
@@ -158,8 +159,8 @@ def test_aborted_data_is_not_delivered_after_a_cut(sim: Simulation, robot: Compu
     assert len(robot.ends) == 1
 
 
-@pytest.mark.skipif(not hasattr(socket, "TCP_USER_TIMEOUT"), reason="only Linux has TCP_USER_TIMEOUT")
-def test_one_way_silence_ends_after_the_user_timeout(sim: Simulation, robot: Computer) -> None:
+@platforms.needs_linux
+def test_unacknowledged_data_ends_connection_after_user_timeout(sim: Simulation, robot: Computer) -> None:
     """The data arrives, but its acknowledgement does not."""
     came: list[bytes] = []
 
@@ -243,7 +244,7 @@ def test_rebooted_computer_resets_old_connections(sim: Simulation, robot: Comput
             link.recv(1)
 
 
-def test_kernel_of_a_suspended_computer_fills_its_buffers(sim: Simulation, robot: Computer) -> None:
+def test_suspended_computer_accepts_data_until_buffers_are_full(sim: Simulation, robot: Computer) -> None:
     """The kernel still accepts data until its buffers are full."""
     serve(sim, robot, echo)
     with socket.create_connection(("robot", PORT), timeout=1.0) as link:
@@ -458,7 +459,7 @@ def test_received_bytes_are_a_prefix_of_sent_bytes(
         link.close()
 
 
-def test_event_loop_without_power_ends_with_the_simulation() -> None:
+def test_event_loop_of_powered_off_computer_ends_with_simulation() -> None:
     ended: list[BaseException] = []
 
     async def waits_again() -> None:

@@ -27,6 +27,7 @@ import pytest
 
 from linkcore.errors import BadValue, LocalError
 from linkcore.simulated import Deadlock, Simulation, TimeLimit, simulated_time
+from tests import platforms
 
 
 def test_simulated_waits_take_no_real_time() -> None:
@@ -77,7 +78,7 @@ def test_same_seed_gives_the_same_run() -> None:
     assert all(outcome(seed) == outcome(seed) for seed in range(20))
 
 
-def test_other_seeds_give_other_thread_orders() -> None:
+def test_different_seeds_give_different_thread_orders() -> None:
     orders: set[tuple[int, ...]] = {tuple(outcome(seed)[0]) for seed in range(50)}  # type: ignore[arg-type]
     assert len(orders) > 10
     for order in orders:
@@ -105,7 +106,7 @@ def test_run_is_the_same_in_another_process() -> None:
     assert runs == {f"{[outcome(seed)[1:] for seed in range(5)]}\n"}
 
 
-def test_lost_update_is_found_by_some_seed() -> None:
+def test_lost_update_between_threads_is_found_with_some_seed() -> None:
     """Two threads read, wait and write; with some seeds they interleave."""
 
     def program(sim: Simulation) -> int:
@@ -157,20 +158,20 @@ def lazy_between_lines(sim: Simulation) -> int:
 
 
 @pytest.mark.slow
-def test_race_between_lines_is_found_with_preempt() -> None:
+def test_preempt_finds_a_race_between_two_lines() -> None:
     seeds = range(200)
     assert {outcome(seed, lazy)[0] for seed in seeds} == {1}
     assert {outcome(seed, lazy_between_lines)[0] for seed in seeds} == {1, 2}
 
 
 @pytest.mark.slow
-def test_earlier_calls_do_not_change_the_yielding_lines() -> None:
+def test_thread_switches_of_a_seed_do_not_depend_on_earlier_runs() -> None:
     first = [outcome(seed, lazy_between_lines) for seed in range(20)]
     assert [outcome(seed, lazy_between_lines) for seed in reversed(range(20))] == first[::-1]
 
 
 @pytest.mark.real_time
-def test_first_run_yields_at_the_same_lines_as_the_next() -> None:
+def test_first_run_switches_threads_at_same_lines_as_later_runs() -> None:
     """Only the first run imports modules and fills caches."""
     program = (
         "import urlink\n"
@@ -222,7 +223,7 @@ def test_holder_of_a_module_lock_is_not_preempted(tmp_path: Path, monkeypatch: p
                 thread.join()
 
 
-def test_random_values_follow_from_the_seed() -> None:
+def test_random_values_depend_only_on_the_seed() -> None:
     def program(sim: Simulation) -> object:
         return random.random(), secrets.token_hex(8), uuid.uuid4(), sim.random.random()
 
@@ -302,7 +303,7 @@ def slow(seconds: int) -> int:
     return seconds
 
 
-def test_lock_is_given_to_a_thread_that_still_waits() -> None:
+def test_lock_is_given_to_a_thread_that_has_not_timed_out() -> None:
     """Another waiter may time out at the moment of the release, before its thread has run again."""
 
     def hold(lock: threading.Lock) -> None:
@@ -395,7 +396,7 @@ def pool(sim: Simulation) -> list[int]:
         return list(pool.map(slow, (3, 1, 2, 3, 1, 2)))
 
 
-def test_thread_keeps_its_hash_after_the_block() -> None:
+def test_thread_keeps_its_hash_after_simulated_time() -> None:
     with simulated_time():
         threads = {threading.Thread(target=slow, args=(1,)) for _ in range(20)}
         for thread in threads:
@@ -464,7 +465,7 @@ def given_up(sim: Simulation) -> list[str]:
     return asyncio.run(program())
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="this operating system has no poll, so fewer calls are made")
+@platforms.needs_linux
 def test_run_is_the_same_on_every_python_version() -> None:
     """Asyncio, thread pools and the tracing of lines differ between Python versions."""
     assert [outcome(seed, calls)[1] for seed in range(3)] == [2168860143, 4144855407, 718284512]
@@ -488,7 +489,7 @@ def test_polling_a_queue_lets_other_threads_run() -> None:
         assert 3e-4 < sim.now < 1e-2
 
 
-def test_semaphore_wakes_a_thread_about_to_wait() -> None:
+def test_semaphore_release_wakes_thread_that_is_about_to_wait() -> None:
     """The release comes after the thread has found none free; about one seed in seventy shows a lost wake-up."""
 
     def program(sim: Simulation) -> int:
@@ -510,7 +511,7 @@ def test_semaphore_wakes_a_thread_about_to_wait() -> None:
     assert {outcome(seed, program)[0] for seed in range(200)} == {9}
 
 
-def test_semaphore_admits_its_number_of_threads() -> None:
+def test_semaphore_of_two_admits_two_threads_at_a_time() -> None:
     with simulated_time() as sim:
         free, taken = threading.Semaphore(2), []
 
@@ -530,7 +531,7 @@ def test_semaphore_admits_its_number_of_threads() -> None:
 
 
 @pytest.mark.real_time
-def test_outside_threads_see_real_time() -> None:
+def test_threads_started_before_simulated_time_see_real_time() -> None:
     seen: list[float] = []
     proceed, done = threading.Event(), threading.Event()
 
@@ -599,7 +600,7 @@ def test_patched_functions_are_restored() -> None:
     ) == before
 
 
-def test_patched_name_is_simulated_in_the_next_block(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_patched_name_is_simulated_in_the_next_simulated_time(monkeypatch: pytest.MonkeyPatch) -> None:
     module: Any = ModuleType("made_for_this_test")
     vars(module).update(sleep=time.sleep, now=time.monotonic)
     monkeypatch.setitem(sys.modules, module.__name__, module)
@@ -656,7 +657,7 @@ def test_suspended_computer_makes_no_progress() -> None:
         assert seen == [1, 2, 3, 7.25, 8.25, 9.25, 10.25, 11.25, 12.25, 13.25]
 
 
-def test_schedule_accepts_named_faults() -> None:
+def test_schedule_executes_named_faults_in_order() -> None:
     with simulated_time() as sim:
         robot = sim.computer("robot", "192.168.0.2")
         to, back = sim.network.route(sim.here, robot), sim.network.route(robot, sim.here)

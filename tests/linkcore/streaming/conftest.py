@@ -6,8 +6,9 @@ from collections.abc import Iterator
 
 import pytest
 
+from linkcore.streaming.connection import Connection
 from linkcore.streaming.stream import Stream
-from tests.fakes.link import Count, ScriptedTransport, scripted
+from tests.fakes.link import Count, ScriptedTransport, connection_over
 from tests.worlds.guarded import guards
 
 __all__ = ["guards"]
@@ -19,7 +20,13 @@ def transport() -> ScriptedTransport:
 
 
 @pytest.fixture
-def stream(transport: ScriptedTransport) -> Iterator[Stream[Count]]:
-    stream = scripted(transport)
+def connection(transport: ScriptedTransport) -> Connection:
+    """Connection of `stream`."""
+    return connection_over(transport)
+
+
+@pytest.fixture
+def stream(connection: Connection) -> Iterator[Stream[Count]]:
+    stream = Stream(connection, Count)
     yield stream
     stream.close()

@@ -53,7 +53,7 @@ def test_check_wait_accepts_the_longest_wait_of_the_system() -> None:
     assert check_wait(threading.TIMEOUT_MAX) == threading.TIMEOUT_MAX
 
 
-def test_check_overridden_accepts_defaults() -> None:
+def test_check_overridden_rejects_values_that_are_not_defaults() -> None:
     check_overridden("time sets the duration", speed=Default(1.05), delay=None)
     with pytest.raises(BadValue, match=r"speed=1\.05 would be ignored, since time sets the duration; omit speed"):
         check_overridden("time sets the duration", speed=1.05)
@@ -137,7 +137,7 @@ class Near(Count):
     """State that a stream of `Count` could contain."""
 
 
-def test_of_rejects_a_class_that_the_stream_never_has(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_of_rejects_packet_classes_of_other_streams(stream: Stream[Count], transport: ScriptedTransport) -> None:
     for use in (stream.of, lambda kind: stream.subscribe(print, kind)):
         with pytest.raises(BadValue, match="script has no packets of class Other; expected one of Count"):
             use(Other)
@@ -146,7 +146,7 @@ def test_of_rejects_a_class_that_the_stream_never_has(stream: Stream[Count], tra
     assert transport.opened == 0
 
 
-def test_of_accepts_declared_other_classes(transport: ScriptedTransport) -> None:
+def test_of_accepts_additional_declared_classes(transport: ScriptedTransport) -> None:
     fan_out = FanOut(Count, parts=lambda packet: (), others=(Other,))
     stream = Stream(Connection("script", transport, CountProtocol, fan_out), Count)
     assert stream.of(Other)
@@ -180,5 +180,5 @@ def test_dir_lists_public_names_only(stream: Stream[Count], transport: ScriptedT
         assert public(history) == {"array", "close"}
 
 
-def test_stream_has_its_name(transport: ScriptedTransport) -> None:
+def test_stream_reports_the_name_that_it_was_given(transport: ScriptedTransport) -> None:
     assert scripted(transport, name="left").name == "left"

@@ -24,13 +24,13 @@ def first_waits(backoff: Backoff, count: int = 50) -> list[float]:
     return list(itertools.islice(backoff.waits(), count))
 
 
-def test_waits_grow_up_to_a_maximum() -> None:
+def test_backoff_waits_grow_up_to_a_maximum() -> None:
     assert first_waits(Backoff(first=1, factor=2, most=10, jitter=0), 6) == [1, 2, 4, 8, 10, 10]
 
 
 @pytest.mark.property
 @given(seconds, factors, seconds)
-def test_waits_without_jitter_grow_up_to_their_maximum(first: float, factor: float, most: float) -> None:
+def test_backoff_waits_without_jitter_grow_up_to_a_maximum(first: float, factor: float, most: float) -> None:
     waits = first_waits(Backoff(first, factor, most, jitter=0))
     assert len(waits) == 50, "the waits must not end"
     assert waits == sorted(waits)
@@ -40,7 +40,7 @@ def test_waits_without_jitter_grow_up_to_their_maximum(first: float, factor: flo
 
 @pytest.mark.property
 @given(seconds, factors, seconds, shares)
-def test_jitter_varies_each_wait_by_its_share(first: float, factor: float, most: float, jitter: float) -> None:
+def test_jitter_varies_each_backoff_wait_by_its_share(first: float, factor: float, most: float, jitter: float) -> None:
     steady = first_waits(Backoff(first, factor, most, jitter=0))
     varied = first_waits(Backoff(first, factor, most, jitter=jitter))
     for wait, exact in zip(varied, steady, strict=True):
@@ -51,16 +51,16 @@ def test_wait_with_jitter_does_not_exceed_the_maximum() -> None:
     assert max(first_waits(Backoff(first=1, factor=2, most=4, jitter=0.5), 200)) <= 4
 
 
-def test_two_clients_get_different_waits() -> None:
+def test_two_clients_get_different_backoff_waits() -> None:
     assert first_waits(Backoff(jitter=0.2)) != first_waits(Backoff(jitter=0.2))
 
 
 @pytest.mark.parametrize("tries", [0, 1, 7])
-def test_waits_end_after_the_number_of_tries(tries: int) -> None:
+def test_backoff_ends_after_the_given_number_of_tries(tries: int) -> None:
     assert len(first_waits(Backoff(tries=tries))) == tries
 
 
-def test_each_use_starts_with_the_first_wait() -> None:
+def test_each_use_of_a_backoff_starts_with_the_first_wait() -> None:
     backoff = Backoff(first=1, factor=10, most=1000, jitter=0)
     assert first_waits(backoff, 3) == first_waits(backoff, 3) == [1, 10, 100]
 

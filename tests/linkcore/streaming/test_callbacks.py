@@ -102,7 +102,7 @@ class Part(Packet):
     pass
 
 
-def test_error_for_one_part_does_not_skip_other_parts() -> None:
+def test_callback_error_for_one_part_does_not_skip_other_parts() -> None:
     fan_out = FanOut(Packet, parts=lambda packet: packet.parts, others=(Part,))
     parts = [Part(), Part(), Part()]
     got: list[Part] = []
@@ -146,7 +146,7 @@ def test_newest_packet_is_available_while_others_arrive() -> None:
     assert missing == 0
 
 
-def test_newest_of_a_base_class_is_the_last_of_its_classes() -> None:
+def test_newest_of_a_base_class_returns_last_subclass_packet() -> None:
     class Other(Packet):
         pass
 

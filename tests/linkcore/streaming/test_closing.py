@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Any
+from queue import SimpleQueue
 
 import pytest
 
 from linkcore.errors import BadValue, ConnectionLost, LinkTimeout
+from linkcore.streaming import packet_queue
 from linkcore.streaming.connection import Connection
-from linkcore.streaming.connection_life import Backoff, ConnectionEvent, ConnectionPhase, ConnectionState
+from linkcore.streaming.connection_life import Backoff, ConnectionEvent, ConnectionState
 from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.packet_queue import PacketQueue, drop_oldest
 from linkcore.streaming.stream import Stream
-from tests.contended import Contended
-from tests.fakes.link import Count, CountProtocol, ScriptedTransport, counts, scripted
+from tests.contended import beside, contended_lock
+from tests.fakes.link import Count, CountProtocol, ScriptedTransport, connection_over, counts, scripted
 from tests.waiting import until
 
 pytestmark = pytest.mark.simulated_time
@@ -42,8 +43,8 @@ class Recorded(ScriptedTransport):
         super().open(timeout)
 
 
-def test_closed_queue_drops_its_packets(stream: Stream[Count], transport: ScriptedTransport) -> None:
-    connection = stream._connection
+@pytest.mark.usefixtures("stream")
+def test_closed_queue_drops_its_packets(connection: Connection, transport: ScriptedTransport) -> None:
     queue: PacketQueue = connection.open_queue(Count, drop_oldest(8))
     transport.put(counts(1, 2, 3))
     until(lambda: queue.waiting == 3)
@@ -63,7 +64,8 @@ def test_lost_connection_is_aborted() -> None:
 
 def test_close_ends_a_stream_that_waits_to_reconnect() -> None:
     transport = ScriptedTransport(None, ConnectionLost("again"))
-    stream = scripted(transport, backoff=Backoff(first=30.0, most=30.0))
+    connection = connection_over(transport, backoff=Backoff(first=30.0, most=30.0))
+    stream = Stream(connection, Count)
     states: list[ConnectionState] = []
     stream.subscribe(lambda event: states.append(event.state), kind=ConnectionEvent)
     stream.start()
@@ -71,7 +73,7 @@ def test_close_ends_a_stream_that_waits_to_reconnect() -> None:
     until(lambda: ConnectionState.LOST in states)
     stream.close()
     assert stream.join(1.0)
-    assert stream._connection._life.phase is ConnectionPhase.CLOSED
+    assert (connection.state, connection.is_running) == (ConnectionState.CLOSED, False)
 
 
 def test_start_times_out_when_the_transport_hangs() -> None:
@@ -87,7 +89,9 @@ def test_start_times_out_when_the_transport_hangs() -> None:
         stream.close()
 
 
-def test_join_ends_in_time_when_a_callback_hangs(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_join_ends_in_time_when_a_callback_hangs(
+    stream: Stream[Count], connection: Connection, transport: ScriptedTransport
+) -> None:
     entered, leave = threading.Event(), threading.Event()
 
     def hang(count: Count) -> None:
@@ -97,10 +101,8 @@ def test_join_ends_in_time_when_a_callback_hangs(stream: Stream[Count], transpor
     stream.subscribe(hang)
     transport.put(counts(1))
     assert entered.wait(_SOON)
-    connection = stream._connection
-    connection._stop()
-    transport.abort()
-    until(lambda: connection._join_reader(0.0))
+    connection.abandon()
+    until(lambda: not connection.is_running)
     begun = time.monotonic()
     assert not stream.join(0.05)
     stream.close(0.05)
@@ -142,17 +144,21 @@ def test_finish_with_invalid_timeout_keeps_the_subscription(
     assert came.wait(_SOON)
 
 
-def test_connection_calls_subscribers_without_its_lock(stream: Stream[Count], transport: ScriptedTransport) -> None:
-    held: list[bool] = []
-    connection = stream._connection
-    changed: Any = connection._changed
-    connection.subscribe_inline(ConnectionEvent, lambda event: held.append(changed._is_owned()))
+def test_connection_calls_subscribers_without_holding_its_lock(
+    stream: Stream[Count], connection: Connection, transport: ScriptedTransport
+) -> None:
+    """Another thread can use the connection meanwhile."""
+    blocked: list[bool] = []
+    stream.start()
+    connection.subscribe_inline(
+        ConnectionEvent, lambda event: blocked.append(beside(connection.start, _SOON).is_alive())
+    )
     transport.put(ConnectionLost("cut"))
-    until(lambda: len(held) > 3)
-    assert True not in held
+    until(lambda: len(blocked) == 3)
+    assert blocked == [False] * 3
 
 
-def test_queue_is_over_before_its_end_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_queue_is_marked_ended_before_the_end_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     queue = PacketQueue(drop_oldest(2))
     seen: list[bool] = []
     monkeypatch.setattr(queue, "end", lambda: seen.append(queue.is_over))
@@ -163,21 +169,44 @@ def test_queue_is_over_before_its_end_is_reported(monkeypatch: pytest.MonkeyPatc
 # -- between two threads ---------------------------------------------------------------------
 
 
-def test_consumer_is_woken_again_after_sleeping_again() -> None:
-    queue, woken = PacketQueue(drop_oldest(8)), [0]
+class Quick:
+    """Tokens for a consumer that takes its packet, and sleeps again, before the call of `put` returns."""
 
-    class Consumer:
-        def put(self, item: None) -> None:
-            """Wake up, take the queued packets, and sleep again immediately."""
-            woken[0] += 1
-            queue._packets.clear()
-            queue._consumer_sleeps = True
+    def __init__(self) -> None:
+        self._tokens: SimpleQueue[None] = SimpleQueue()
+        self.put_count = self.get_count = 0
+        self.is_used = True
 
-    queue._to_consumer = Consumer()  # type: ignore[assignment]
-    queue._consumer_sleeps = True
+    def put(self, item: None) -> None:
+        self.put_count += 1
+        before = self.get_count
+        self._tokens.put(item)
+        until(lambda: self.get_count > before or not self.is_used)
+
+    def get(self, block: bool = True, timeout: float | None = None) -> None:
+        self.get_count += 1
+        self._tokens.get(block, timeout)
+
+
+def test_consumer_is_woken_for_each_packet_after_each_sleep(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[Quick] = []
+
+    def make() -> Quick:
+        made.append(Quick())
+        return made[-1]
+
+    monkeypatch.setattr(packet_queue, "SimpleQueue", make)
+    queue = PacketQueue(drop_oldest(8))
+    to_consumer, _ = made
+    consumer = threading.Thread(target=lambda: [queue.next(_SOON) for _ in range(4)])
+    consumer.start()
+    until(lambda: to_consumer.get_count == 1)
     for number in range(3):
         queue.offer((number,))
-    assert woken == [3]
+    assert to_consumer.put_count == 3
+    to_consumer.is_used = False
+    queue.end()
+    consumer.join()
 
 
 def test_send_timeout_starts_after_connecting() -> None:
@@ -188,9 +217,8 @@ def test_send_timeout_starts_after_connecting() -> None:
             self.room = 0
 
     transport = Slow()
-    stream = scripted(transport)
+    connection = connection_over(transport)
     waits: list[float] = []
-    connection = stream._connection
 
     def wait_for_room(timeout: float) -> bool:
         waits.append(timeout)
@@ -199,12 +227,14 @@ def test_send_timeout_starts_after_connecting() -> None:
     connection.wait_for_room = wait_for_room  # type: ignore[method-assign]
     with pytest.raises(LinkTimeout):
         connection.send(b"1234", 0.5)
-    assert waits == pytest.approx([0.5])
-    stream.close()
+    assert waits == pytest.approx([0.5], abs=0.01)
+    connection.close(2.0)
 
 
 def test_queue_added_just_before_a_stream_ends_is_ended() -> None:
-    fan_out, queue = FanOut(Count), PacketQueue(drop_oldest(8))
-    fan_out._lock = Contended(fan_out._lock, before=lambda: fan_out.add(queue, Count))  # type: ignore[assignment]
+    queue = PacketQueue(drop_oldest(8))
+    with contended_lock(before=lambda: fan_out.add(queue, Count)):
+        fan_out = FanOut(Count)
     fan_out.end()
-    assert queue._is_ended
+    assert queue.next(0.0) is None
+    assert queue.is_over

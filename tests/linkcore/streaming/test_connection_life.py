@@ -61,9 +61,9 @@ def test_reported_state_equals_current_state(events: list[LifeEvent]) -> None:
     for event in events:
         if (one.phase, event) not in TRANSITIONS:
             continue
-        told = one.fire(event)
-        if told is not None and not one.is_closed:
-            assert told is STATES[one.phase]
+        announced = one.fire(event)
+        if announced is not None and not one.is_closed:
+            assert announced is STATES[one.phase]
         if one.phase is ConnectionPhase.CLOSED:
             assert not any((ConnectionPhase.CLOSED, each) in TRANSITIONS for each in READER)
 
@@ -81,7 +81,7 @@ def test_closing_connection_always_reaches_closed(events: list[LifeEvent]) -> No
     assert one.phase is ConnectionPhase.CLOSED
 
 
-def test_awaited_first_connection_is_not_retried() -> None:
+def test_first_connection_is_not_retried_while_a_caller_waits() -> None:
     one = life()
     one.use(is_patient=False, received=0)
     one.fire(LifeEvent.CONNECT)
@@ -94,7 +94,7 @@ def test_awaited_first_connection_is_not_retried() -> None:
     assert one.error is one.failure is one.attempt.failure is None
 
 
-def test_waits_grow_until_packets_arrive() -> None:
+def test_reconnection_waits_grow_until_packets_arrive() -> None:
     one = life()
     one.use(is_patient=True, received=3)
     waits = []

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
+import weakref
 
 import pytest
 from hypothesis import settings
@@ -14,13 +15,16 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule, run_state_machine_as_test
 
 import linkcore.clock
+from linkcore import clock
 from linkcore.errors import ConnectionLost
 from linkcore.net.transport import Finished
-from linkcore.streaming.packet_queue import Policy, block, drop_oldest, latest
-from linkcore.streaming.statistics import StreamCounters, SubscriptionStatistics
+from linkcore.streaming.connection import Connection
+from linkcore.streaming.fanout import FanOut
+from linkcore.streaming.packet_queue import PacketQueue, Policy, block, drop_oldest, latest
+from linkcore.streaming.statistics import Loop, StreamCounters, SubscriptionStatistics
 from linkcore.streaming.stream import Stream
 from linkcore.streaming.subscription import Subscription
-from tests.fakes.link import BAD, Count, ScriptedTransport, counts, scripted
+from tests.fakes.link import AT_ONCE, BAD, Count, CountProtocol, ScriptedTransport, counts, scripted
 from tests.waiting import until
 
 pytestmark = pytest.mark.simulated_time
@@ -73,7 +77,27 @@ def test_stats_count_packets_dropped_by_a_slow_loop(stream: Stream[Count], trans
     transport.put(counts(8, 9), counts(10))
     until(lambda: stream.stats.received == 10)
     assert stream.stats.dropped == 4
-    assert stream._connection.counters._loops == ()
+
+
+def test_ended_loop_is_forgotten() -> None:
+    counters, queue = StreamCounters(), PacketQueue(drop_oldest(8))
+    seen = weakref.ref(queue)
+    counters.loop_began(queue)
+    counters.loop_ended(queue)
+    del queue
+    assert seen() is None
+
+
+def test_closed_loop_is_reported_to_the_counters(
+    stream: Stream[Count], connection: Connection, transport: ScriptedTransport, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ended: list[Loop] = []
+    monkeypatch.setattr(connection.counters, "loop_ended", ended.append)
+    loop = stream.iterate(latest)
+    transport.put(counts(1))
+    next(loop)
+    loop.close()  # type: ignore[attr-defined]
+    assert len(ended) == 1
 
 
 def test_stats_count_packets_expired_in_a_loop(stream: Stream[Count], transport: ScriptedTransport) -> None:
@@ -94,17 +118,20 @@ def test_stats_do_not_count_packets_skipped_by_a_wait(stream: Stream[Count], tra
     assert stream.stats.dropped == 0
 
 
-def test_stream_stats_include_protocol_counters(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_stream_stats_include_protocol_counters(transport: ScriptedTransport) -> None:
     """They are included during the connection and after it."""
-    stream.start()
-    protocol = stream._connection.counters._protocol
-    assert protocol is not None
+    protocols = [CountProtocol(), CountProtocol()]
     for name in ("unknown", "tails"):
-        setattr(protocol, name, 3)
+        setattr(protocols[0], name, 3)
+    made = iter(protocols)
+    connection = Connection("script", transport, lambda: next(made), FanOut(Count), backoff=AT_ONCE, silence=None)
+    stream = Stream(connection, Count)
+    stream.start()
     assert (stream.stats.unknown, stream.stats.tails) == (3, 3)
     transport.put(ConnectionLost("cut"))
     until(lambda: stream.stats.reconnects == 1)
     assert (stream.stats.unknown, stream.stats.tails) == (3, 3)
+    stream.close()
 
 
 def test_slow_subscriber_changes_only_its_own_counters(stream: Stream[Count], transport: ScriptedTransport) -> None:
@@ -148,27 +175,28 @@ def test_age_is_the_age_of_the_last_packet(stream: Stream[Count], transport: Scr
     assert age >= 0.02
 
 
-def test_rate_is_measured_over_the_last_second(stream: Stream[Count], transport: ScriptedTransport) -> None:
-    stream.start()
-    counters = stream._connection.counters
-    assert stream.stats.rate == 0
-    began = counters._window_began
+def test_rate_is_measured_over_the_last_second() -> None:
+    began, counters = clock.now(), StreamCounters()
+    assert counters.statistics.rate == 0
     counters.received = 500
-    assert counters.window_ends == pytest.approx(began + 1.0)
+    assert counters.window_ends == pytest.approx(began + 1.0, abs=1e-3)
     counters.received = 600
     counters.next_window(began + 1.2)
-    assert counters._rate == pytest.approx(500)
+    assert counters.statistics.rate == pytest.approx(500, rel=1e-3)
     counters.received = 700
     counters.next_window(began + 2.3)
-    assert counters._rate == pytest.approx(100 / 1.1)
+    assert counters.statistics.rate == pytest.approx(100 / 1.1, rel=1e-3)
 
 
-def test_rate_of_a_stopped_stream_decreases(stream: Stream[Count], transport: ScriptedTransport) -> None:
-    stream.start()
-    counters = stream._connection.counters
-    counters._rate, counters.received = 500.0, 500
-    counters._window_began -= 10.0
-    assert stream.stats.rate == pytest.approx(50, rel=0.1)
+def test_rate_of_a_stopped_stream_decreases() -> None:
+    counters = StreamCounters()
+    counters.received = 500
+    time.sleep(1.0)
+    counters.next_window(clock.now())
+    counters.received = 1000
+    assert counters.statistics.rate == pytest.approx(500, rel=0.1)
+    time.sleep(10.0)
+    assert counters.statistics.rate == pytest.approx(50, rel=0.1)
 
 
 class Recipient:

@@ -10,12 +10,13 @@ import pytest
 
 from linkcore.errors import BadValue, ConnectionLost, LocalError
 from linkcore.net.transport import Finished
+from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import Chunk, ConnectionEvent, ConnectionState, Traffic
 from linkcore.streaming.packet_queue import block, latest
 from linkcore.streaming.stream import Stream
 from linkcore.streaming.subscription import Subscription
 from tests.fakes.link import Count, ScriptedTransport, counts
-from tests.waiting import until
+from tests.waiting import threads_named, until
 
 pytestmark = pytest.mark.simulated_time
 
@@ -47,7 +48,7 @@ def test_inline_callbacks_all_get_a_packet_before_the_next(stream: Stream[Count]
     assert got == [("first", 1), ("second", 1), ("first", 2), ("second", 2)]
 
 
-def test_default_callback_does_not_run_in_the_reader(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_callback_runs_in_its_own_thread_by_default(stream: Stream[Count], transport: ScriptedTransport) -> None:
     """The callback runs in its own thread, however fast it is and however often it has been called."""
     threads: set[threading.Thread] = set()
     stream.subscribe(lambda count: threads.add(threading.current_thread()), policy=block)
@@ -76,7 +77,7 @@ def test_queues_get_a_packet_before_inline_callbacks(stream: Stream[Count], tran
     go.set()
 
 
-def test_slow_inline_call_is_counted_and_shown_by_age(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_slow_inline_callback_is_counted_and_increases_age(stream: Stream[Count], transport: ScriptedTransport) -> None:
     go, called = threading.Event(), threading.Event()
 
     def hang(count: Count) -> None:
@@ -176,7 +177,9 @@ def test_inline_callback_can_close_its_subscription(stream: Stream[Count], trans
     assert got == [1]
 
 
-def test_inline_callback_can_close_the_stream(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_inline_callback_can_close_the_stream(
+    stream: Stream[Count], connection: Connection, transport: ScriptedTransport
+) -> None:
     closed = threading.Event()
 
     def close(count: Count) -> None:
@@ -186,11 +189,13 @@ def test_inline_callback_can_close_the_stream(stream: Stream[Count], transport: 
     stream.subscribe(close, inline=True)
     transport.put(counts(1, 2))
     assert closed.wait(10)
-    until(lambda: not stream._connection.is_running)
+    until(lambda: not connection.is_running)
     assert stream.connection is ConnectionState.CLOSED
 
 
-def test_close_times_out_when_an_inline_callback_hangs(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_close_times_out_when_an_inline_callback_hangs(
+    stream: Stream[Count], connection: Connection, transport: ScriptedTransport
+) -> None:
     go, called = threading.Event(), threading.Event()
 
     def hang(count: Count) -> None:
@@ -204,7 +209,7 @@ def test_close_times_out_when_an_inline_callback_hangs(stream: Stream[Count], tr
     stream.close(timeout=0.2)
     assert time.monotonic() - began < 5
     go.set()
-    until(lambda: not stream._connection.is_running)
+    until(lambda: not connection.is_running)
 
 
 def test_inline_callback_cannot_wait_for_its_stream(stream: Stream[Count], transport: ScriptedTransport) -> None:
@@ -279,7 +284,7 @@ def test_inline_subscription_can_have_a_deadline(stream: Stream[Count], transpor
     until(lambda: not any(thread.name == "script Count deadline" for thread in threading.enumerate()))
 
 
-def test_inline_deadline_starts_with_the_connection(
+def test_deadline_of_inline_callback_starts_when_connected(
     stream: Stream[Count], transport: ScriptedTransport, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Connecting may take longer than the deadline."""
@@ -287,7 +292,7 @@ def test_inline_deadline_starts_with_the_connection(
     connect = transport.open
 
     def watched(timeout: float) -> None:
-        watching.append([thread.name for thread in threading.enumerate() if "deadline" in thread.name])
+        watching.append(threads_named("deadline"))
         connect(timeout)
 
     monkeypatch.setattr(transport, "open", watched)

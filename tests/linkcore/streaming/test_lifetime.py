@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import os
 import threading
 import weakref
 from typing import Any
@@ -12,9 +11,11 @@ import pytest
 
 from linkcore.errors import LocalError
 from linkcore.net.transport import Finished
+from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.stream import Stream
-from tests.fakes.link import Count, ScriptedTransport, counts, output_of, scripted
+from tests import platforms
+from tests.fakes.link import Count, ScriptedTransport, connection_over, counts, output_of, scripted
 from tests.waiting import until
 
 pytestmark = pytest.mark.simulated_time
@@ -41,7 +42,8 @@ def test_unreferenced_stream_is_closed_with_a_warning(transport: ScriptedTranspo
 
 @pytest.mark.parametrize("how", ["feed", "subscription", "iterator"])
 def test_reference_to_a_part_keeps_the_stream_open(transport: ScriptedTransport, how: str) -> None:
-    stream = scripted(transport)
+    connection = connection_over(transport)
+    stream = Stream(connection, Count)
     got: list[int] = []
     part: Any
     if how == "feed":
@@ -53,7 +55,7 @@ def test_reference_to_a_part_keeps_the_stream_open(transport: ScriptedTransport,
         part = stream.iterate()
         transport.put(counts(0))
         assert next(part).number == 0
-    connection, held = stream._connection, [part]
+    held = [part]
     del stream, part
     gc.collect()
     assert connection.state is ConnectionState.CONNECTED
@@ -86,7 +88,7 @@ def no_more_threads(monkeypatch: pytest.MonkeyPatch, first: str) -> None:
     monkeypatch.setattr(threading.Thread, "start", refuse)
 
 
-def test_use_raises_local_error_without_a_reader_thread(
+def test_use_raises_local_error_if_reader_thread_cannot_start(
     stream: Stream[Count], transport: ScriptedTransport, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch:
@@ -102,7 +104,11 @@ def test_use_raises_local_error_without_a_reader_thread(
 
 @pytest.mark.parametrize("inline", [False, True])
 def test_subscribe_raises_local_error_without_a_thread(
-    stream: Stream[Count], transport: ScriptedTransport, monkeypatch: pytest.MonkeyPatch, inline: bool
+    stream: Stream[Count],
+    connection: Connection,
+    transport: ScriptedTransport,
+    monkeypatch: pytest.MonkeyPatch,
+    inline: bool,
 ) -> None:
     stream.start()
     with monkeypatch.context() as patch:
@@ -110,7 +116,7 @@ def test_subscribe_raises_local_error_without_a_thread(
         with pytest.raises(LocalError, match="no thread could be started"):
             stream.subscribe(print, deadline=1.0, inline=inline)
     assert stream.connection is ConnectionState.CONNECTED
-    assert not stream._connection.fan_out._routes
+    assert connection.fan_out.sinks == ()
     stream.close()
 
 
@@ -144,7 +150,7 @@ stream.close()
 
 @pytest.mark.real_time
 @pytest.mark.slow
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
+@platforms.needs_fork
 def test_close_in_a_forked_child_does_not_affect_the_parent() -> None:
     out = output_of(_FORKED)
     assert out == "0\n"

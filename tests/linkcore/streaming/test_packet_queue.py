@@ -89,7 +89,7 @@ class QueueMachine(RuleBasedStateMachine):
 
 
 @pytest.mark.property
-def test_queue_equals_model_for_any_operations() -> None:
+def test_queue_behaves_like_its_model_for_any_operations() -> None:
     run_state_machine_as_test(QueueMachine)
 
 
@@ -246,7 +246,7 @@ def test_latest_policy_never_drops_the_newest() -> None:
 
 
 @pytest.mark.slow
-def test_close_at_any_moment_counts_every_packet() -> None:
+def test_queue_counts_every_packet_when_closed_at_any_moment() -> None:
     for round_ in range(60):
         queue = PacketQueue(drop_oldest(5) if round_ % 2 else Policy(5, drop=None))
         thread, taken = consume(queue)

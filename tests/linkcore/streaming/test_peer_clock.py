@@ -67,7 +67,7 @@ class Wire:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", DELAYS)
-def test_conversions_are_correct_within_their_bound(kind: str) -> None:
+def test_clock_conversions_are_correct_within_the_bound(kind: str) -> None:
     looks = wrong = 0
     for seed in range(12):
         wire = Wire(seed, DELAYS[kind])
@@ -82,7 +82,7 @@ def test_conversions_are_correct_within_their_bound(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["none", "uniform", "exponential"])
-def test_bound_is_about_half_of_the_round_trip(kind: str) -> None:
+def test_clock_error_bound_is_about_half_of_the_round_trip(kind: str) -> None:
     wire = Wire(1, DELAYS[kind])
     wire.connect()
     wire.run(30.0)
@@ -92,7 +92,7 @@ def test_bound_is_about_half_of_the_round_trip(kind: str) -> None:
     assert -relation.slope / (1.0 + relation.slope) == pytest.approx(wire.drift, abs=2e-5)
 
 
-def test_bound_is_infinite_before_enough_packets() -> None:
+def test_clock_bound_is_infinite_before_enough_packets() -> None:
     clock = OffsetEstimator()
     assert [clock.relation] == [None]
     clock.connected(1e-4)
@@ -103,7 +103,7 @@ def test_bound_is_infinite_before_enough_packets() -> None:
     assert clock.relation.to_local(5.0) == pytest.approx(105.0, abs=1e-3)
 
 
-def test_bound_is_infinite_without_a_handshake() -> None:
+def test_clock_bound_is_infinite_without_a_handshake() -> None:
     wire = Wire(2, DELAYS["none"])
     wire.clock.connected(math.inf)
     wire.run(3.0)
@@ -144,7 +144,7 @@ def late_by(seconds: float, chance: random.Random) -> float:
     return seconds
 
 
-def test_delayed_peer_keeps_its_clock() -> None:
+def test_late_packets_do_not_count_as_a_restart_of_the_peer() -> None:
     wire = Wire(5, DELAYS["uniform"])
     wire.connect()
     wire.run(20.0)

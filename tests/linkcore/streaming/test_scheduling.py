@@ -14,6 +14,7 @@ import pytest
 import linkcore.streaming.scheduling
 from linkcore.errors import BadValue
 from linkcore.streaming.scheduling import realtime_options, urgent
+from tests import platforms
 from tests.fakes.link import ScriptedTransport, counts, scripted
 from tests.waiting import until
 
@@ -43,7 +44,7 @@ class System:
         monkeypatch.setattr(os, "sched_setaffinity", lambda number, cpus: self.cpus.update({number: set(cpus)}))
 
 
-linux = pytest.mark.skipif(sys.platform != "linux", reason="uses scheduling calls that only Linux has")
+linux = platforms.needs_linux
 
 
 @linux

@@ -11,18 +11,19 @@ import pytest
 import linkcore.clock
 from linkcore.errors import BadValue, Closed, ConnectFailed, ConnectionLost, LinkTimeout
 from linkcore.net.transport import Finished
+from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import Backoff, Chunk, ConnectionEvent, ConnectionState, Traffic
 from linkcore.streaming.packet_queue import Policy, block, drop_oldest, latest
 from linkcore.streaming.stream import Stream
-from tests.fakes.link import BAD, Count, ScriptedTransport, counts, scripted
+from tests.fakes.link import BAD, Count, ScriptedTransport, connection_over, counts, scripted
 from tests.waiting import until
 
 pytestmark = pytest.mark.simulated_time
 
 
 @pytest.fixture
-def stream(transport: ScriptedTransport) -> Iterator[Stream[Count]]:
-    stream = scripted(transport)
+def stream(connection: Connection) -> Iterator[Stream[Count]]:
+    stream = Stream(connection, Count)
     yield stream
     stream.close()
     adds_up(stream)
@@ -350,10 +351,10 @@ def test_error_in_on_deadline_is_logged_only(
     assert "on_deadline" in caplog.text
 
 
-def test_failed_connection_raises_even_when_another_try_follows(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wait_raises_failed_connection_although_retry_has_begun(monkeypatch: pytest.MonkeyPatch) -> None:
     transport = ScriptedTransport(ConnectFailed("refused"), None)
-    stream = scripted(transport)
-    connection = stream._connection
+    connection = connection_over(transport)
+    stream = Stream(connection, Count)
     settle = connection._settle
 
     def with_another_try() -> None:
@@ -404,13 +405,15 @@ def test_iteration_ends_when_the_stream_is_closed(stream: Stream[Count], transpo
         next(iter(stream))
 
 
-def test_closed_iteration_removes_its_queue(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_closed_iteration_removes_its_queue(
+    stream: Stream[Count], connection: Connection, transport: ScriptedTransport
+) -> None:
     transport.put(counts(1))
     iterator = stream.iterate(drop_oldest(8))
     assert next(iterator).number == 1
-    assert len(stream._connection.fan_out._routes) == 1
+    assert len(list(connection.fan_out.sinks)) == 1
     iterator.close()  # type: ignore[attr-defined]
-    assert not stream._connection.fan_out._routes
+    assert connection.fan_out.sinks == ()
 
 
 def test_ended_stream_ends_new_iterations_immediately(stream: Stream[Count], transport: ScriptedTransport) -> None:
@@ -435,7 +438,9 @@ def test_wait_returns_only_later_packets(stream: Stream[Count], transport: Scrip
         stream.wait(0.01)
 
 
-def test_traffic_contains_every_byte_and_event_in_order(stream: Stream[Count], transport: ScriptedTransport) -> None:
+def test_traffic_subscription_gets_every_byte_and_event_in_order(
+    stream: Stream[Count], transport: ScriptedTransport
+) -> None:
     seen: list[Chunk | ConnectionEvent] = []
     stream.subscribe(seen.append, Traffic, policy=block)
     pieces = [counts(1)[:3], counts(1)[3:] + counts(2), b"junk"]

@@ -78,7 +78,7 @@ def test_wait_until_error_counts_the_checked_packets(stream: Stream[Count], tran
         return False
 
     transport.put(counts(1, 2, 3))
-    with pytest.raises(LinkTimeout, match=r"was true for none of \d Count from script within 0\.2 s"):
+    with pytest.raises(LinkTimeout, match=r"no packet met the condition within 0\.2 s; examined \d Count from script"):
         stream.wait_until(never, 0.2)
     assert seen
 

@@ -98,7 +98,7 @@ _OTHER = st.sampled_from([0.0, -1.0, -2.5, -1e5, 1e9, None])
 @example([2.0, -1.0, 2.0, 1.0], 0.002, 4)
 @example([1.0, -1e5, 1.0, 1.0], 0.002, 4)
 @example([1.0, None, 2.0, 1.0], 0.002, 4)
-def test_counts_do_not_depend_on_batching(steps: list[float | None], period: float, cuts: int) -> None:
+def test_missed_counts_do_not_depend_on_batch_size(steps: list[float | None], period: float, cuts: int) -> None:
     # The packets of the first batch are consecutive, so the first step begins with the second batch.
     times: list[float | None] = [10.0 + number * period for number in range(cuts)]
     now = 10.0 + (cuts - 1) * period
@@ -109,7 +109,7 @@ def test_counts_do_not_depend_on_batching(steps: list[float | None], period: flo
     assert (*found.missing, found.duplicates) == plainly(times, period)
 
 
-def test_consecutive_packet_costs_no_call(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_packet_without_gap_calls_no_function_of_missed_cycles(monkeypatch: pytest.MonkeyPatch) -> None:
     cycles = MissedCycles(moment, (0.002,), time=_TIME.unpack, size=_TIME.size)
     chunks = [[_TIME.pack(number * 0.002)] for number in (1, 2, 3, 4, 9, 10)]
     receiver = Receiver("frames", cast(PacketProtocol, Timed(chunks, cycles)), StreamCounters())
@@ -151,7 +151,7 @@ def test_received_and_missing_add_up_to_all_cycles(
 
 
 @pytest.mark.parametrize(("step", "period"), [(0.002, 0.002), (0.008, 0.008)])
-def test_period_is_learnt_from_two_candidates(step: float, period: float) -> None:
+def test_cycle_period_is_chosen_from_two_candidates(step: float, period: float) -> None:
     times = [number * step for number in range(20) if number not in (7, 8, 15)]
     assert counted(list(times), 0.002, 0.008) == pytest.approx((3, 2, 3 * step))
     found = gaps_of(np.array(times), np.array(times), (0.002, 0.008))
@@ -165,7 +165,7 @@ def test_late_state_is_not_counted_as_missing() -> None:
     assert counted([0.0, 0.104, 0.296, 0.4], 0.1).cycles == 1
 
 
-def test_duplicates_and_missing_cycles_in_one_chunk_do_not_cancel() -> None:
+def test_duplicates_do_not_cancel_missing_cycles_in_one_chunk() -> None:
     found = counters([0.0, 0.002, 0.002, 0.006, 0.008], 0.002, cuts=5)
     assert (found.duplicates, found.missing.cycles) == (1, 1)
 
@@ -181,7 +181,7 @@ def test_duplicates_of_past_connections_stay_counted() -> None:
     assert stream.statistics.duplicates == 4
 
 
-def test_restarted_clock_is_not_a_gap() -> None:
+def test_restarted_clock_does_not_count_as_missed_cycles() -> None:
     """If the clock was restarted or has jumped, the number of missing cycles is unknown."""
     assert counted([100.0, 100.002, 0.0, 0.002, 0.004], 0.002) == Missing()
     assert counted([0.0, 5000.0, 5000.002, float("inf"), 1.0, float("nan"), 1.002], 0.002) == Missing()
@@ -197,6 +197,6 @@ def test_no_cycle_is_missing_between_connections() -> None:
     assert [gap.cycles for gap in gaps_of(times, times, (0.002,), begins=[2])] == [48]
 
 
-def test_missing_text_is_readable() -> None:
+def test_missing_cycles_are_described_in_a_sentence() -> None:
     assert Missing(363, 2, 0.4).text(112) == "363 of 475 cycles are missing (2 gaps, the longest 0.400 s)"
     assert Missing(1, 1, 0.004).text(9) == "1 of 10 cycles is missing (1 gap, the longest 0.004 s)"

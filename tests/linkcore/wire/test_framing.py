@@ -133,7 +133,7 @@ def test_wrong_size_does_not_swallow_following_packets() -> None:
     assert (framer.skipped, framer.resyncs) == (7, 1)
 
 
-def test_damaged_end_is_decided_by_the_next_header() -> None:
+def test_packet_with_damaged_end_is_framed_before_valid_header() -> None:
     damaged = ONE[:-1] + b"!"
     frames, framer = fed(damaged)
     assert frames == []
@@ -167,7 +167,7 @@ def test_peer_without_packets_raises_wrong_peer_after_the_limit() -> None:
     assert framer.feed(b"wauwau" * 1000 + ONE) == [ONE]
 
 
-def test_limit_of_skipped_bytes_is_exact() -> None:
+def test_framer_raises_wrong_peer_exactly_beyond_skip_limit() -> None:
     framer = Framer(HashBoundary(), limit=1000)
     framer.feed(b"x" * 1002)
     assert framer.skipped == 1000
@@ -180,7 +180,7 @@ def test_limit_of_skipped_bytes_is_exact() -> None:
         framer.feed(b"xx")
 
 
-def test_packets_cut_in_one_go_confirm_the_peer() -> None:
+def test_two_packets_in_one_chunk_confirm_the_peer() -> None:
     framer = Framer(WholeBoundary(), limit=1000)
     assert framer.feed(ONE + TWO + b"x") == [ONE, TWO]
     assert framer.feed(b"x" * 5000) == []

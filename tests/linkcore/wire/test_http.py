@@ -101,7 +101,11 @@ def test_interim_response_is_skipped_and_204_has_no_body() -> None:
         ("request", b"get / HTTP/1.1\r\n\r\n", "it begins with b'get / HTTP/1.1'"),
         ("request", b"GET / HTTP/1.1\r\nno header\r\n\r\n", "b'no header' is not a header"),
         ("request", b"GET / HTTP/1.1\r\nA: " + b"a" * LONGEST_HEAD, "its headers have more than 16384 bytes"),
-        ("response", b"HTTP/1.1 200 OK\r\nContent-Length: 1\r\nContent-Length: 2\r\n\r\n", "two lengths of its body"),
+        (
+            "response",
+            b"HTTP/1.1 200 OK\r\nContent-Length: 1\r\nContent-Length: 2\r\n\r\n",
+            "conflicting Content-Length headers",
+        ),
         ("response", b"HTTP/1.1 200 OK\r\nContent-Length: -1\r\n\r\n", "its Content-Length is '-1'"),
         ("response", b"HTTP/1.1 200 OK\r\nContent-Length: %d\r\n\r\n" % (LONGEST_BODY + 1), "at most 1048576 bytes"),
         ("response", b"HTTP/1.1 200 OK\r\n\r\n" + b"x" * (LONGEST_BODY + 1), "its body has more than 1048576"),
@@ -135,7 +139,7 @@ def test_line_break_in_the_target_is_rejected() -> None:
         b"GET " + b"/" * (LONGEST_HEAD - 100) + b" HTTP/1.2\r\n\r\n",
     ],
 )
-def test_ambiguous_head_is_rejected_quickly(data: bytes) -> None:
+def test_ambiguous_http_head_is_rejected_quickly(data: bytes) -> None:
     """A backtracking regular expression would need hours for the first of these heads."""
     with pytest.raises(PacketError):
         HttpParser("request").feed(data)

@@ -163,7 +163,7 @@ def test_vectors_are_read_only_with_the_declared_type() -> None:
 def test_short_packet_error_reports_lengths(cls: type[State], data: bytes) -> None:
     layout = cls.LAYOUTS.of()
     for length in range(5, layout.size):
-        with pytest.raises(PacketError, match="packet too short") as caught:
+        with pytest.raises(PacketError, match="the packet is too short") as caught:
             layout.decode(data[:length])
         error = caught.value
         assert (error.packet, error.expected, error.actual, error.offset) == (
@@ -174,7 +174,7 @@ def test_short_packet_error_reports_lengths(cls: type[State], data: bytes) -> No
         )
 
 
-def test_error_after_text_reports_the_true_offset() -> None:
+def test_decode_error_behind_a_text_reports_its_real_offset() -> None:
     layout = Note.LAYOUTS.of()
     with pytest.raises(PacketError, match="title runs past the end") as caught:
         layout.decode(struct.pack(">iB H B 2s", 10, 8, 300, 3, b"to"))

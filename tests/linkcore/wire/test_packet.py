@@ -107,7 +107,7 @@ def test_versions_with_the_same_fields_share_a_layout() -> None:
     ]
 
 
-def test_old_field_order_is_another_layout_of_the_class() -> None:
+def test_packet_class_decodes_old_and_new_field_order() -> None:
     old, new = Grown("1.0", pose=[1, 2], force=[3, 4]), Grown("2.0", pose=[1, 2], force=[3, 4])
     assert struct.unpack(">i5d", bytes(old)) == (44, 0, 3, 4, 1, 2)
     assert struct.unpack(">i5d", bytes(new)) == (44, 0, 1, 2, 3, 4)
@@ -116,7 +116,7 @@ def test_old_field_order_is_another_layout_of_the_class() -> None:
     assert old.extra is None
 
 
-def test_interleaved_group_can_gain_a_field() -> None:
+def test_interleaved_fields_decode_with_and_without_new_field() -> None:
     old, new = (
         Twined("1.0", before=1, position=[2, 3], count=[4, 5]),
         Twined("2.0", before=1, position=[2, 3], mode=[1, 9]),
@@ -138,7 +138,7 @@ def test_version_without_the_packet_raises_packet_error() -> None:
 
     assert Late("3.9").x == 0.0
     for version in ("1.9", "4.0", "5.1"):
-        with pytest.raises(PacketError, match="not sent by this firmware") as caught:
+        with pytest.raises(PacketError, match="this firmware does not send it") as caught:
             Late(version)
         assert (caught.value.packet, caught.value.version) == ("Late", version)
 
@@ -169,7 +169,7 @@ def test_layout_is_chosen_by_length_and_version() -> None:
         sizes(Grown, 52, (3, 2))
 
 
-def test_removed_field_is_accepted_in_the_next_release() -> None:
+def test_field_removed_in_a_release_is_still_decoded_if_present() -> None:
     early = Lost("1.7", early=7)
     assert Lost.LAYOUTS.decode(bytes(early), (1, 8)).early == 7
     # In another generation, the same bytes are a tail instead.
@@ -190,7 +190,7 @@ def test_block_is_present_when_its_flag_is_set(version: str, more: int) -> None:
     assert state.colour is Colour.RED
 
 
-def test_block_with_a_tail_follows_its_flag() -> None:
+def test_optional_block_before_tail_is_decoded_if_flag_is_set() -> None:
     data = Board.LAYOUTS.of("2.1", {"has_more": True}).encode({"has_more": 1, "more": 3, "last": 4}, b"\x09\x09")
     state = Board.LAYOUTS.decode(data, (2, 1))
     assert (state.more, state.last, state.tail) == (3, 4, b"\x09\x09")

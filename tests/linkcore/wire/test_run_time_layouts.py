@@ -82,14 +82,14 @@ def test_run_time_layout_reads_handwritten_bytes() -> None:
         struct.pack(">HBBd6d?", 61, ord("U"), 1, 12.5, *range(6), True)
     )
     assert (state.timestamp, state.actual_q.tolist(), state.is_on) == (12.5, [0, 1, 2, 3, 4, 5], True)
-    with pytest.raises(PacketError, match="packet too short") as caught:
+    with pytest.raises(PacketError, match="the packet is too short") as caught:
         layout.unpack(data[:-1])
     assert (caught.value.packet, caught.value.expected, caught.value.actual) == ("DataPackage", 64, 63)
 
 
 @pytest.mark.property
 @given(recipe=recipes, data=st.data())
-def test_run_time_layout_equals_construct(recipe: dict[str, str], data: st.DataObject) -> None:
+def test_run_time_layout_decodes_like_construct(recipe: dict[str, str], data: st.DataObject) -> None:
     layout = layout_of(recipe)
     raw = data.draw(st.binary(min_size=layout.size, max_size=layout.size + 3))
     slowly = parse(layout, raw)

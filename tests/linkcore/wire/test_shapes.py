@@ -21,7 +21,7 @@ class Mode(OpenInt):
     GONE = -1
 
 
-def test_known_numbers_are_members() -> None:
+def test_known_mode_numbers_become_enum_members() -> None:
     assert Mode(5) is Mode.IDLE
     assert Mode(-1).name == "GONE"
 
@@ -65,7 +65,7 @@ FLOAT_MODE = Coded(Float64b, Mode)
 @example(-0.0)
 @example(float(NOT_A_CODE))
 @example(2.0**31)
-def test_float_without_a_code_reads_as_not_a_code(number: float) -> None:
+def test_float_that_is_not_an_integer_code_reads_as_not_a_code(number: float) -> None:
     assert FLOAT_MODE.read is not None
     mode = FLOAT_MODE.read(number)
     if math.isfinite(number) and abs(number) < 2**31 and number == math.floor(number):
@@ -75,7 +75,7 @@ def test_float_without_a_code_reads_as_not_a_code(number: float) -> None:
     assert parsed(FLOAT_MODE, struct.pack(">d", number)) == mode
 
 
-def test_coded_values_are_written_as_floats_and_integers() -> None:
+def test_coded_values_are_encoded_in_their_wire_type() -> None:
     assert built(FLOAT_MODE, Mode.IDLE) == struct.pack(">d", 5.0)
     assert built(Coded(Int8ub, Mode), Mode.IDLE) == b"\x05"
     assert built(Coded(Int8ub, bool), True) == b"\x01"
@@ -95,7 +95,7 @@ def test_mask_is_read_from_a_double(mask: int) -> None:
     assert parsed(Mask64, struct.pack(">d", float(mask))) == mask
 
 
-def test_mask_equals_the_vendor_example() -> None:
+def test_mask_of_vendor_example_is_five() -> None:
     # Inputs 0 and 2 give five, as in the vendor's table.
     assert parsed(Mask64, bytes.fromhex("0000000000000005")) == 5
     assert parsed(Mask64, bytes.fromhex("4014000000000000")) == 5
@@ -104,7 +104,7 @@ def test_mask_equals_the_vendor_example() -> None:
 
 
 @pytest.mark.parametrize("number", [0.5, -1.0, math.nan, math.inf, -math.inf, 2.0**48, 1e300])
-def test_mask_of_an_invalid_double_is_its_bits(number: float) -> None:
+def test_mask_of_an_invalid_double_contains_its_raw_bits(number: float) -> None:
     (bits,) = struct.unpack(">Q", struct.pack(">d", number))
     assert parsed(Mask64, struct.pack(">d", number)) == bits
 

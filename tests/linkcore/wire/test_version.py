@@ -70,7 +70,7 @@ def test_since_contains_versions_by_generation(since: str, present: list[Version
 
 
 @given(st.sampled_from(["0.0", "1.6", "3.10/5.4", "3.5/5.0", "3.14/5.9", "1.7/3.2/5.4"]), st.data())
-def test_since_changes_at_its_steps_only(text: str, data: st.DataObject) -> None:
+def test_since_gives_same_answer_between_its_steps(text: str, data: st.DataObject) -> None:
     since = Since(text)
     one, other = sorted(data.draw(st.tuples(st.integers(0, 7), st.integers(0, 20))) for _ in range(2))
     if not any(one < step <= other for step in since.steps):

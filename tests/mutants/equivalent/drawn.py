@@ -304,11 +304,4 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "swapped",
         "both happen under the lock and are independent of each other",
     ),
-    Equivalent(
-        "linkcore/streaming/silence.py",
-        "end",
-        "self.last = now",
-        "after self.wait = self._next_wait()",
-        "the next wait is not computed from the time of the last packet",
-    ),
 )

@@ -82,7 +82,7 @@ def test_both_directions_are_dissected(width: int) -> None:
 
 @pytest.mark.captures("rhd")
 @pytest.mark.parametrize("name", SERVERS)
-def test_every_byte_of_recorded_servers_has_a_meaning(run: Run, name: str) -> None:
+def test_dissect_explains_every_byte_of_recorded_servers(run: Run, name: str) -> None:
     path = real_captures.folder("rhd") / f"{name}.s2c.bin"
     status, out, err = run("dissect", str(path), "--json")
     assert (status, err) == (0, "")
@@ -124,7 +124,7 @@ def test_missing_tables_and_data_are_reported(run: Run, tmp_path: Path) -> None:
     other.write_bytes(b"nothing")
     status, out, _ = run("dissect", str(path))
     assert status == 0
-    assert "!! unknown lengths of the variables; use --tables" in out
+    assert "!! the lengths of the variables are unknown; use --tables" in out
     status, _, err = run("dissect", str(path), "--tables", str(other))
     assert status == 1
     assert "contains no handshake" in err
@@ -151,15 +151,15 @@ def test_server_without_a_grant_is_recognised_by_its_table() -> None:
 @pytest.mark.parametrize(
     ("data", "error"),
     [
-        (server()[:50], "cut off in row 1, in its name"),
-        (server()[:5], "cut off before its count"),
-        (server()[:-3], "cut off in entry 1, in its data"),
-        (b"awtw\xff\xff\xff\xff", "counts -1; expected 0 to 8192"),
+        (server()[:50], "the package ends within the name of row 1"),
+        (server()[:5], "the package ends before its count"),
+        (server()[:-3], "the package ends within the data of entry 1"),
+        (b"awtw\xff\xff\xff\xff", "the count is -1; expected 0 to 8192"),
         (b"awx", "one byte of a package"),
         (b"awxx", "b'xx' does not begin a package of a server"),
         (b"rr", "b'rr' does not begin a package of a server"),
-        (server() + b"dr" + b"\0\0\0\1" + b"\0\0\0\2", "entry 0 is of variable 2; expected 0 to 1"),
-        (b"tr\0\0\0\1" + b"\xff" * 4 + bytes(33) + b"dr\0\0\0\1" + bytes(12), "entry 0 is of a variable of -1 words"),
+        (server() + b"dr" + b"\0\0\0\1" + b"\0\0\0\2", "entry 0: the id of the variable is 2; expected 0 to 1"),
+        (b"tr\0\0\0\1" + b"\xff" * 4 + bytes(33) + b"dr\0\0\0\1" + bytes(12), "entry 0: the variable has -1 words"),
     ],
 )
 def test_invalid_package_is_shown_with_the_reason(data: bytes, error: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import pytest
 
 import rhdlink
 from linkcore.errors import BadValue
+from tests.spawning import ENDINGS, Ending, interrupt
 
 from .conftest import Run, Spawn
 
@@ -73,14 +73,14 @@ def test_serve_prints_its_address_and_statistics(run: Run, config: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_signal_ends_serve_in_order(spawn: Spawn, config: str, number: int, status: int) -> None:
+@pytest.mark.parametrize(("end", "status"), ENDINGS)
+def test_signal_ends_serve_in_order(spawn: Spawn, config: str, end: Ending, status: int) -> None:
     process = spawn("serve", config)
     assert process.stdout is not None
     with rhdlink.connect(process.stdout.readline().strip()) as robot:
         robot.sync()
         assert robot["counter"] == 7
-        process.send_signal(number)
+        end(process)
         _, err = process.communicate(timeout=20)
     assert process.returncode == status
     assert "motors stopped" in err
@@ -139,9 +139,9 @@ def test_turtle_drives_and_saves_its_path(spawn: Spawn, tmp_path: Path, drive: s
                 robot[name] = 100_000 if name == "cmdtransvel" else 100
         for _ in range(102):  # a command moves the robot in the round after its request, and the next reply reports it
             robot.sync()
-        process.send_signal(signal.SIGTERM)
+        interrupt(process)
         _, err = process.communicate(timeout=20)
-    assert process.returncode == 143
+    assert process.returncode == 130
     assert "rhdlink: ended at x 6.5" in err
     assert "<polyline" in picture.read_text()
 
@@ -156,7 +156,7 @@ def test_turtle_ends_after_its_duration(run: Run) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [2, 4])
-def test_width_option_sets_the_time_stamps(spawn: Spawn, config: str, width: int) -> None:
+def test_width_option_sets_the_width_of_time_stamps(spawn: Spawn, config: str, width: int) -> None:
     for command in (("turtle", "--port", "0"), ("serve", config)):
         process = spawn(*command, "--width", str(width))
         assert process.stdout is not None
@@ -165,8 +165,8 @@ def test_width_option_sets_the_time_stamps(spawn: Spawn, config: str, width: int
             robot.sync()
             # With the wrong width, the stamp of the tick would be far from the current time.
             assert abs(robot.stamp("tick").time - robot.received.wall) < 60.0
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(20) == 143
+        interrupt(process)
+        assert process.wait(20) == 130
 
 
 def test_width_option_overrides_the_file(run: Run, tmp_path: Path) -> None:

@@ -1,11 +1,11 @@
 from __future__ import annotations
 
-import signal
 from pathlib import Path
 
 import pytest
 
 from rhdlink import Host
+from tests.spawning import ENDINGS, Ending
 
 from .conftest import Run, Spawn
 
@@ -118,16 +118,16 @@ def test_verbose_logs_to_stderr(run: Run) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(("end", "status"), ENDINGS)
 @pytest.mark.parametrize("options", [("--plain",), ("--json",)])
 @pytest.mark.real_time
 def test_signals_end_a_watch_quietly(
-    spawn: Spawn, address: str, options: tuple[str, ...], number: int, status: int
+    spawn: Spawn, address: str, options: tuple[str, ...], end: Ending, status: int
 ) -> None:
     process = spawn("watch", "--quiet", address, *options)
     assert process.stdout is not None
     assert process.stdout.readline()
-    process.send_signal(number)
+    end(process)
     _, err = process.communicate(timeout=20)
     assert process.returncode == status
     summary = ["rhdlink: watched", "rhdlink: next:"] if options == ("--plain",) else []

@@ -11,6 +11,7 @@ import pytest
 
 from rhdlink import Host
 from rhdlink.host.plugins.turtle import Turtle
+from tests.spawning import interrupt
 from tests.waiting import until
 
 from .conftest import Run, Spawn
@@ -23,7 +24,7 @@ MISSIONS = Path(__file__).parents[3] / "examples" / "missions"
 @pytest.fixture
 def script(tmp_path: Path) -> Path:
     path = tmp_path / "way.smr"
-    path.write_text('fwd 0.2\nturn 90\nputevent "corner"\nprint "there"\neval 1 ; 2\n')
+    path.write_text('fwd 0.2\nturn 90\nputevent "corner"\nprint "there"\neval 1 ; 2\n', newline="\n")
     return path
 
 
@@ -128,7 +129,7 @@ def test_mission_runs_on_a_robot_until_interrupted(spawn: Spawn, script: Path) -
     with Host([robot], port=0) as host:
         process = spawn("mission", str(script), "--robot", host.address)
         until(lambda: robot.world.odometry.theta > 0.2)
-        process.send_signal(signal.SIGINT)
+        interrupt(process)
         _, err = process.communicate(timeout=20)
         assert process.returncode == 130
         assert "Traceback" not in err

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,6 +18,7 @@ from rhdlink.recording import play
 from rhdlink.variables import Database, TimeStamp
 from rhdlink.wire.messages import END
 from tests.harm import assert_harmless, strict
+from tests.spawning import ENDINGS, Ending
 
 from .conftest import Run, Spawn
 
@@ -106,7 +106,7 @@ def test_replay_prints_json_at_the_given_rate(run: Run, recording: Path) -> None
 @pytest.mark.parametrize(
     ("chunks", "name", "argv", "said"),
     [
-        ([], "realtime", (), "contains no rhd; it contains realtime"),
+        ([], "realtime", (), "has no channel 'rhd'; its channels are realtime"),
         ([b"nothing"], "rhd", (), "cannot begin a package"),
         ([robot().encode_handshake("r")], "rhd", ("speedl", "--rate", "max"), "contains no variable 'speedl'"),
     ],
@@ -163,14 +163,14 @@ def test_failed_connection_leaves_no_file(run: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(("end", "status"), ENDINGS)
 @pytest.mark.real_time
-def test_signal_completes_the_recording(spawn: Spawn, address: str, tmp_path: Path, number: int, status: int) -> None:
+def test_signal_completes_the_recording(spawn: Spawn, address: str, tmp_path: Path, end: Ending, status: int) -> None:
     path = tmp_path / "drive.urlog"
     process = spawn("record", address, str(path))
     assert process.stderr is not None
     assert "recording" in process.stderr.readline()
-    process.send_signal(number)
+    end(process)
     out, err = process.communicate(timeout=20)
     assert (process.returncode, err) == (status, "")
     assert ", complete\n" in out

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import signal
-
 import pytest
 
 import rhdlink
 from rhdlink import Bool, Float64, Host, Plugin, Read
 from tests.fakes.rhd import Peer, Robot, ScriptedServer, serving
 from tests.harm import HOSTILE, assert_harmless, strict
+from tests.spawning import interrupt
 from tests.waiting import until
 
 from .conftest import Run, Spawn
@@ -34,7 +33,7 @@ def test_vars_prints_a_table(run: Run, address: str) -> None:
 
 
 @pytest.mark.parametrize("option", [(), ("--json",)])
-def test_vars_of_a_robot_without_variables(run: Run, option: tuple[str, ...]) -> None:
+def test_vars_prints_count_zero_for_a_robot_without_variables(run: Run, option: tuple[str, ...]) -> None:
     with ScriptedServer(serving(Robot(read=(), write=()))) as server:
         status, out, err = run("vars", server.address, *option)
     assert (status, err) == (0, "")
@@ -132,7 +131,7 @@ def test_set_fails_while_another_master_is_connected(run: Run, address: str) -> 
 
 
 @pytest.mark.slow
-def test_set_hold_lasts_until_interrupted(spawn: Spawn, host: Host, address: str) -> None:
+def test_set_with_hold_ends_when_interrupted(spawn: Spawn, host: Host, address: str) -> None:
     process = spawn("set", address, "cmdtransvel", "30000", "--hold", "1000")
     assert process.stderr is not None
     assert process.stderr.readline() == "rhdlink: cmdtransvel is 30000 = 0.3 m/s\n"
@@ -144,12 +143,12 @@ def test_set_hold_lasts_until_interrupted(spawn: Spawn, host: Host, address: str
 
         until(drives)
     assert host.writers == 1
-    process.send_signal(signal.SIGINT)
+    interrupt(process)
     assert process.wait(20) == 130
     until(lambda: host.writers == 0)
 
 
-def test_set_hold_lasts_for_its_duration(run: Run, address: str) -> None:
+def test_set_with_hold_ends_after_its_duration(run: Run, address: str) -> None:
     assert run("set", address, "cmdtransvel", "30000", "--hold", "0.5")[0] == 0
     transpos = int(run("get", address, "transpos")[1].split()[1])
     assert transpos >= 2000  # 7 ticks, out of 50 if none is missed
@@ -160,8 +159,8 @@ def greet(peer: Peer) -> None:
     database = rhdlink.variables.Database()
     database.read.add("tick")
     database.read.add("\x1b[2J\x9b31m\u00ad")
-    peer.hear(b"ar")
-    peer.say(database.encode_handshake("r"))
+    peer.expect(b"ar")
+    peer.send(database.encode_handshake("r"))
     assert peer.is_left()
 
 

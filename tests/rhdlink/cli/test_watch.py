@@ -13,6 +13,7 @@ from rhdlink import Host
 from rhdlink.cli.watch_view import RateCounter
 from rhdlink.host.plugins.turtle import Turtle
 from rhdlink.variables import Change, TimeStamp, Update
+from tests import platforms
 from tests.harm import strict
 
 from .conftest import Run, Spawn
@@ -85,7 +86,7 @@ def updates(times: int, *, names: tuple[str, ...]) -> Iterator[Update]:
         yield Update(changes, Stamp(100.0 + number / 100, 0.0))
 
 
-def test_rates_are_counted_over_two_seconds() -> None:
+def test_watch_computes_rates_over_two_seconds() -> None:
     counter = RateCounter(began=100.0)
     for update in updates(50, names=("a", "b")):
         counter.on_update(update)
@@ -99,7 +100,7 @@ def test_rates_are_counted_over_two_seconds() -> None:
     assert counter.rates(200.0) == (0.0, {})
 
 
-def test_trouble_is_shown_until_the_connection_is_back() -> None:
+def test_watch_shows_the_error_until_the_connection_is_restored() -> None:
     counter = RateCounter(began=0.0)
     lost = rhdlink.ConnectionLost("gone")
     counter.on_connection(ConnectionEvent(ConnectionState.LOST, "x", lost, Stamp(1.0, 1.0)))
@@ -110,7 +111,7 @@ def test_trouble_is_shown_until_the_connection_is_back() -> None:
 
 
 @pytest.mark.simulated_time
-def test_view_marks_old_data(address: str) -> None:
+def test_watch_view_marks_old_data(address: str) -> None:
     from rhdlink.cli.watch_view import View
 
     with rhdlink.connect(address) as robot:
@@ -124,7 +125,7 @@ def test_view_marks_old_data(address: str) -> None:
 @pytest.mark.real_time
 def test_watch_draws_on_a_terminal(spawn: Spawn, address: str) -> None:
     pytest.importorskip("rich")
-    pty = pytest.importorskip("pty")  # not available on every system
+    pty = pytest.importorskip("pty", reason=platforms.TERMINALS)  # not available on every system
     ours, theirs = pty.openpty()
     environment = os.environ | {"TERM": "xterm-256color", "COLUMNS": "100", "LINES": "40"}
     process = spawn("watch", address, "--duration", "1.2", stdout=theirs, env=environment)

@@ -112,7 +112,7 @@ class Bench:
 
     @property
     def reason(self) -> str:
-        """Reason of the failure."""
+        """Reason for the failure."""
         assert self.controller.failure is not None, "the controller did not fail"
         return self.controller.failure.reason
 

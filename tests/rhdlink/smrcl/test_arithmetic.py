@@ -114,7 +114,9 @@ def test_truncation_equals_the_conversion_of_c() -> None:
         (0, 3, 0, 0),
     ],
 )
-def test_remainder_includes_the_divisor_or_not(a: float, b: float, inclusive: float, modulo: float) -> None:
+def test_remainder_functions_include_or_exclude_the_divisor(
+    a: float, b: float, inclusive: float, modulo: float
+) -> None:
     assert (remainder_inclusive(a, b), remainder_modulo(a, b)) == (inclusive, modulo)
 
 
@@ -139,7 +141,7 @@ def test_angle_is_normalised_to_half_a_turn(angle: float) -> None:
 
 @pytest.mark.property
 @given(ANY, ANY)
-def test_no_function_raises_for_any_number(a: float, b: float) -> None:
+def test_functions_return_a_float_for_any_number(a: float, b: float) -> None:
     for function in UNARY_FUNCTIONS.values():
         assert isinstance(function(a), float)
     for two in (*BINARY_FUNCTIONS.values(), divide, power):

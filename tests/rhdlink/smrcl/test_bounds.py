@@ -27,7 +27,7 @@ PROFILES = pytest.mark.parametrize("profile", [SOUND, MRC], ids=lambda profile: 
         ('label "a"\ngoto "a"\n', "endless loop without a wait: 2000 lines in one cycle"),
         ('n=0\nlabel "a"\nn=n+1\nif (1) "a"\n', "endless loop without a wait: 2000 lines in one cycle"),
         ("\n" * 3000, "endless loop without a wait: 2000 lines in one cycle"),
-        ('label "a"\ncall "a"\n', "more than 500 nested calls"),
+        ('label "a"\ncall "a"\n', "calls are nested too deeply; the maximum is 500"),
         ('array "q" 10000\n', "there is no room for an array of 10000.000000 values; "),
         ('array "q" -1\n', "there is no room for an array of -1.000000 values; "),
         ('label "a"\narray "q" 1000\ngoto "a"\n', "there is no room for an array of 1000.000000 values; "),
@@ -72,7 +72,7 @@ def test_invalid_number_ends_a_sound_mission(source: str, reason: str) -> None:
         *('set "odowidth" 0', 'set "$odoth" x', 'set "odoratio" x', 'set "odoc0" x', 'set "$odocovE2" x'),
     ],
 )
-def test_invalid_number_ends_at_most_its_mission_in_mrc_profile(motion: str, x: str) -> None:
+def test_invalid_number_raises_no_exception_in_mrc_profile(motion: str, x: str) -> None:
     """Python raises exceptions where C computes nan, for example for the sine of inf or a division by 0."""
     for robot in ("velomega", "differential"):
         bench = Bench(robot, MRC).run(f"x = {x}\nfwd 0.02\n{motion} : ($cmdtime > 0.2)\nfwd 0.05 : ($cmdtime > 0.2)\n")
@@ -99,7 +99,7 @@ def test_number_of_variables_is_limited() -> None:
 
 
 @pytest.mark.slow
-def test_failure_by_a_limit_is_marked_as_limit() -> None:
+def test_failure_is_marked_as_limit_if_a_bound_ended_the_script() -> None:
     bench = Bench().run('label "a"\ngoto "a"\n')
     assert bench.controller.failure is not None
     assert bench.controller.failure.is_limit

@@ -31,8 +31,8 @@ TAKEN = {
 
 
 @pytest.mark.parametrize("command", COMMANDS.values(), ids=COMMANDS)
-def test_function_accepts_the_kinds_of_its_parameters(command: ScriptCommand) -> None:
-    effects, *parameters = inspect.signature(command.carry_out).parameters.values()
+def test_function_of_each_command_accepts_its_parameters(command: ScriptCommand) -> None:
+    effects, *parameters = inspect.signature(command.execute).parameters.values()
     assert effects.annotation == "MissionEffects"
     declared = [each.annotation for each in parameters]
     if parameters and parameters[-1].kind is inspect.Parameter.VAR_POSITIONAL:
@@ -62,7 +62,7 @@ def one_text(effects: MissionEffects, text: str) -> Outcome:
         {"kinds": (ParameterKind.TEXT,), "repeats": True},
     ],
 )
-def test_row_with_a_mismatching_function_is_rejected(options: dict[str, object]) -> None:
+def test_script_command_rejects_a_function_with_other_parameters(options: dict[str, object]) -> None:
     assert ScriptCommand("one", one_text, (ParameterKind.TEXT,)).most == 1
     with pytest.raises(TypeError, match=r"^one takes .*, but its function does not: "):
         ScriptCommand("one", one_text, **options)  # type: ignore[arg-type]
@@ -98,7 +98,7 @@ def test_mrc_profile_accepts_large_numbers() -> None:
     assert Mission("fwd 1e7\nstop\n", compat="mrc").check() == []
 
 
-def test_settings_and_routes_set_existing_attributes() -> None:
+def test_every_setting_and_route_sets_an_existing_attribute() -> None:
     """A misspelt path would set an attribute that no code reads."""
     vehicle = Bench().controller.vehicle
     before = attributes(vehicle)

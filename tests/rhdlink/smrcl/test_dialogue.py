@@ -20,7 +20,7 @@ class Talk:
         self.client = self.dialogue.connect()
         self.bench.run(cycles=25)
 
-    def say(self, *lines: str, client: Session | None = None) -> list[str]:
+    def exchange(self, *lines: str, client: Session | None = None) -> list[str]:
         """Send lines in one cycle and return the answers of that cycle."""
         who = client or self.client
         who.receive("".join(f"{line}\n" for line in lines).encode("latin-1"))
@@ -36,39 +36,41 @@ class Talk:
 @PROFILES
 def test_command_is_queued_started_and_ended(profile: str) -> None:
     talk = Talk(profile)
-    assert talk.say("fwd 0.05", "wait 0.1", "a = 2", "nonsense") == [f"ID{number} queued" for number in (1, 2, 3, 4)]
+    assert talk.exchange("fwd 0.05", "wait 0.1", "a = 2", "nonsense") == [
+        f"ID{number} queued" for number in (1, 2, 3, 4)
+    ]
     talk.advance(300)
-    events = [talk.say("getevent 0")[0] for _ in range(6)]
+    events = [talk.exchange("getevent 0")[0] for _ in range(6)]
     assert events == [
         *("ID1 started", "ID1 stopcond 0.000000", "ID2 started", "ID2 stopcond 0.000000"),
         *("ID3 assignment", "ID4 syntaxerror"),
     ]
-    assert talk.say("getevent 0") == ["eventtimeout"]
+    assert talk.exchange("getevent 0") == ["eventtimeout"]
     assert talk.dialogue.failures[-1].text == "nonsense"
 
 
-def test_impossible_motion_ends_only_its_command() -> None:
+def test_impossible_motion_fails_but_next_command_runs() -> None:
     talk = Talk("mrc")
-    talk.say('set "odowidth" 0', "drivetopoint 1e200 0 0 0", "b = 5")
+    talk.exchange('set "odowidth" 0', "drivetopoint 1e200 0 0 0", "b = 5")
     talk.advance(20)
     (failure,) = talk.dialogue.failures
     assert (failure.line, failure.column) == (1, 1)
     assert failure.reason.startswith("the motion cannot be computed: ")
-    assert talk.say("eval b") == ["5.000000 "]
+    assert talk.exchange("eval b") == ["5.000000 "]
     assert talk.bench.speeds[-1] == (0.0, 0.0)
 
 
 def test_watch_errors_and_stop_input_do_not_end_the_dialogue() -> None:
     talk = Talk()
-    talk.say('array "q" 2', "b = 0", 'addwatch "w" 1 : (q[b] > 1)', "b = 5")
+    talk.exchange('array "q" 2', "b = 0", 'addwatch "w" 1 : (q[b] > 1)', "b = 5")
     talk.advance(20)
-    talk.say('routeinput "mrc" "mrccontrol" "stop" "odox"', "fwd 0.5")
+    talk.exchange('routeinput "mrc" "mrccontrol" "stop" "odox"', "fwd 0.5")
     talk.advance(300)
     assert [failure.reason for failure in talk.dialogue.failures] == [
         'watch "w": index 5 is beyond q, which has values q[0] to q[1]',
         "the input stop of mrccontrol is not 0",
     ]
-    assert talk.say("eval b") == ["5.000000 "]
+    assert talk.exchange("eval b") == ["5.000000 "]
     assert talk.bench.speeds[-1] == (0.0, 0.0)
 
 
@@ -77,29 +79,29 @@ def test_lines_may_end_with_any_line_break(profile: str) -> None:
     talk = Talk(profile)
     talk.client.receive(b"eval 1\r\neval 2\n\reval 3\reval 4\n\n\neval ")
     talk.client.receive(b"5\n")
-    assert talk.say() == [f"{number}.000000 " for number in (1, 2, 3, 4, 5)]
+    assert talk.exchange() == [f"{number}.000000 " for number in (1, 2, 3, 4, 5)]
 
 
 @PROFILES
 def test_getevent_waits_for_an_event(profile: str) -> None:
     talk = Talk(profile)
-    assert talk.say("getevent 0.1") == []
+    assert talk.exchange("getevent 0.1") == []
     assert talk.advance(9) == []
     assert talk.advance(1) == ["eventtimeout"]
-    assert talk.say("getevent 5", 'putevent "x"') == ["ID1 queued", "userevent x"]
+    assert talk.exchange("getevent 5", 'putevent "x"') == ["ID1 queued", "userevent x"]
 
 
 @PROFILES
 def test_eval_is_answered_while_the_robot_moves(profile: str) -> None:
     talk = Talk(profile)
-    talk.say("fwd 1 : ($odox > 0.3)")
+    talk.exchange("fwd 1 : ($odox > 0.3)")
     talk.advance(50)
-    (answer,) = talk.say("eval $odox > 0 ; 1+1")
+    (answer,) = talk.exchange("eval $odox > 0 ; 1+1")
     assert answer == "1.000000 2.000000 "
-    assert talk.say("eval nosuch", "eval", "eval 1 +", "evaluate", "eval a = 1") == ["syntaxerror"] * 5
-    talk.say('setvar "$odox" 5', 'setvar "nosuch" 5')
+    assert talk.exchange("eval nosuch", "eval", "eval 1 +", "evaluate", "eval a = 1") == ["syntaxerror"] * 5
+    talk.exchange('setvar "$odox" 5', 'setvar "nosuch" 5')
     assert talk.advance(3) == []
-    assert talk.say("eval $odox > 5") == ["1.000000 "]
+    assert talk.exchange("eval $odox > 5") == ["1.000000 "]
 
 
 @PROFILES
@@ -114,40 +116,44 @@ def test_plans_are_stored_run_and_deleted(profile: str) -> None:
         "plan wait 0.02",
         "endplan",
     ]
-    assert talk.say(*plan) == ["ok"] * 7
-    assert talk.say("runplan p") == ["ID1 queued"]
+    assert talk.exchange(*plan) == ["ok"] * 7
+    assert talk.exchange("runplan p") == ["ID1 queued"]
     talk.advance(10)
-    assert talk.say("eval n") == ["3.000000 "]
-    assert talk.say("deleteplan p", "runplan p") == ["ok", "ID2 queued"]
-    assert [talk.say("getevent 0")[0] for _ in range(3)] == ["ID1 started", "ID1 stopcond 0.000000", "ID2 assignment"]
+    assert talk.exchange("eval n") == ["3.000000 "]
+    assert talk.exchange("deleteplan p", "runplan p") == ["ok", "ID2 queued"]
+    assert [talk.exchange("getevent 0")[0] for _ in range(3)] == [
+        "ID1 started",
+        "ID1 stopcond 0.000000",
+        "ID2 assignment",
+    ]
 
 
 @PROFILES
 def test_number_of_plans_is_limited_to_ten(profile: str) -> None:
     talk = Talk(profile)
-    assert talk.say(*(f"beginplan {number}" for number in range(11))) == ["ok"] * 10 + [
+    assert talk.exchange(*(f"beginplan {number}" for number in range(11))) == ["ok"] * 10 + [
         "error there are 10 plans already"
     ]
-    assert talk.say("plan fwd 1")[0].startswith("error")
+    assert talk.exchange("plan fwd 1")[0].startswith("error")
 
 
 @PROFILES
-def test_goto_of_a_client_cannot_enter_a_plan(profile: str) -> None:
+def test_goto_or_return_of_a_client_is_rejected_as_syntax_error(profile: str) -> None:
     talk = Talk(profile)
-    talk.say("beginplan p", 'plan label "a"', "plan wait 0.02", "endplan", "runplan p")
+    talk.exchange("beginplan p", 'plan label "a"', "plan wait 0.02", "endplan", "runplan p")
     talk.advance(20)
-    talk.say('goto "a"', "return")
-    events = [talk.say("getevent 0")[0] for _ in range(4)]
+    talk.exchange('goto "a"', "return")
+    events = [talk.exchange("getevent 0")[0] for _ in range(4)]
     assert events[2:] == ["ID2 syntaxerror", "ID3 syntaxerror"]
 
 
 @PROFILES
 def test_too_many_commands_are_refused(profile: str) -> None:
     talk = Talk(profile)
-    talk.say("drive")
+    talk.exchange("drive")
     answers: list[str] = []
     for _ in range(6):
-        answers += talk.say(*["fwd 1"] * 80)
+        answers += talk.exchange(*["fwd 1"] * 80)
     answers += talk.advance(3)
     assert answers.count(f"ID{MOST_COMMANDS + 1} queued") == 1
     assert answers[-1] == "ID481 refused"
@@ -157,9 +163,9 @@ def test_too_many_commands_are_refused(profile: str) -> None:
 def test_flushcmds_stops_the_robot_in_the_sound_profile() -> None:
     for profile, stops in (("sound", True), ("mrc", False)):
         talk = Talk(profile)
-        talk.say("drive", "fwd 1")
+        talk.exchange("drive", "fwd 1")
         talk.advance(50)
-        assert talk.say("flushcmds") == ["ID1 flushed"]
+        assert talk.exchange("flushcmds") == ["ID1 flushed"]
         talk.advance(20)
         assert (talk.bench.speeds[-1][0] == 0.0) == stops
         assert len(talk.dialogue.queue) == 0
@@ -169,20 +175,20 @@ def test_lost_client_stops_its_commands_in_sound_profile() -> None:
     for profile, stops in (("sound", True), ("mrc", False)):
         talk = Talk(profile)
         other = talk.dialogue.connect()
-        talk.say("drive", "fwd 1")
-        talk.say("wait 0.1", client=other)
+        talk.exchange("drive", "fwd 1")
+        talk.exchange("wait 0.1", client=other)
         talk.advance(50)
         talk.dialogue.disconnect(talk.client)
         talk.bench.run(cycles=20)
         assert (talk.bench.speeds[-1][0] == 0.0) == stops
-        assert (talk.say("getevent 0", client=other) == ["ID1 started"]) == stops
+        assert (talk.exchange("getevent 0", client=other) == ["ID1 started"]) == stops
 
 
-def test_motion_continues_into_the_motion_after_a_flush() -> None:
+def test_motion_after_flushcmds_continues_at_current_speed() -> None:
     talk = Talk()
-    talk.say("drive")
+    talk.exchange("drive")
     talk.advance(150)
-    talk.say("flushcmds", "drive")
+    talk.exchange("flushcmds", "drive")
     talk.advance(5)
     assert talk.bench.speeds[-1][0] > 0.28
 
@@ -191,44 +197,44 @@ def test_motion_continues_into_the_motion_after_a_flush() -> None:
 def test_each_client_has_separate_ids_events_and_format(profile: str) -> None:
     talk = Talk(profile)
     other = talk.dialogue.connect()
-    assert talk.say('set "xmlon" 1', client=other) == ["ID1 queued", '<cmd id="1" status="started" />']
-    assert talk.say("wait 0.02") == ["ID1 queued"]
+    assert talk.exchange('set "xmlon" 1', client=other) == ["ID1 queued", '<cmd id="1" status="started" />']
+    assert talk.exchange("wait 0.02") == ["ID1 queued"]
     talk.bench.run(cycles=10)
     assert other.take() == b'<cmd id="1" status="finished" stopcond="0.000000" />\n'
-    assert talk.say("getevent 0") == ["ID1 started"]
-    assert talk.say("eval $odox;3*4", client=other) == ['<eval odox="0.000000" *4="12.000000" />']
+    assert talk.exchange("getevent 0") == ["ID1 started"]
+    assert talk.exchange("eval $odox;3*4", client=other) == ['<eval odox="0.000000" *4="12.000000" />']
 
 
 @PROFILES
 def test_stream_sends_variables(profile: str) -> None:
     talk = Talk(profile)
-    talk.say('stream 4 "$odox" "$cmdtime"')
+    talk.exchange('stream 4 "$odox" "$cmdtime"')
     lines = talk.advance(20)
     assert len(lines) == 5
     assert all(line.startswith("stream 0.") for line in lines)
-    assert talk.say('stream 0 "$odox"')[-1].startswith(("stream ", "ID2"))
+    assert talk.exchange('stream 0 "$odox"')[-1].startswith(("stream ", "ID2"))
 
 
 @PROFILES
 def test_fired_watch_is_reported_once(profile: str) -> None:
     talk = Talk(profile)
-    talk.say('addwatch "far" 1 : ($odox > 0.02)', "fwd 0.1")
+    talk.exchange('addwatch "far" 1 : ($odox > 0.02)', "fwd 0.1")
     talk.advance(200)
     events = []
-    while (event := talk.say("getevent 0")[0]) != "eventtimeout":
+    while (event := talk.exchange("getevent 0")[0]) != "eventtimeout":
         events.append(event)
     assert sum(event.startswith("watch far fired ") for event in events) == 1
 
 
 def test_exit_ends_one_client_or_the_whole_server() -> None:
     talk = Talk("mrc")
-    talk.say("drive")
-    assert talk.say("exit") == ["ok"]
+    talk.exchange("drive")
+    assert talk.exchange("exit") == ["ok"]
     talk.bench.run(cycles=3)
     assert talk.bench.controller.is_finished
     talk = Talk("sound")
-    talk.say("drive")
-    assert talk.say("exit") == ["ok"]
+    talk.exchange("drive")
+    assert talk.exchange("exit") == ["ok"]
     talk.bench.run(cycles=10)
     assert not talk.bench.controller.is_finished
     assert (talk.client.is_closed, talk.bench.speeds[-1]) == (True, (0.0, 0.0))
@@ -258,18 +264,18 @@ def test_input_of_a_client_is_processed_cycle_by_cycle(profile: str) -> None:
 @PROFILES
 def test_read_waits_for_its_condition(profile: str) -> None:
     talk = Talk(profile)
-    assert talk.say('read "well? " : ($cmdtime > 0.1)') == ["ID1 queued", "well? "]
+    assert talk.exchange('read "well? " : ($cmdtime > 0.1)') == ["ID1 queued", "well? "]
     talk.advance(30)
-    assert [talk.say("getevent 0")[0] for _ in range(2)] == ["ID1 started", "ID1 stopcond 1.000000"]
+    assert [talk.exchange("getevent 0")[0] for _ in range(2)] == ["ID1 started", "ID1 stopcond 1.000000"]
 
 
-def test_read_ends_with_a_line_of_its_client() -> None:
+def test_read_ends_when_the_same_client_sends_a_line() -> None:
     for profile, is_read in (("sound", True), ("mrc", False)):
         talk = Talk(profile)
         other = talk.dialogue.connect()
-        talk.say('read "well? "', 'stringcat "$str" "!"')
-        assert talk.say("eval 1", client=other) == ["1.000000 "]
-        answers = talk.say("yes")
+        talk.exchange('read "well? "', 'stringcat "$str" "!"')
+        assert talk.exchange("eval 1", client=other) == ["1.000000 "]
+        answers = talk.exchange("yes")
         talk.advance(5)
         assert answers == ([] if is_read else ["ID3 queued"])
         assert talk.bench.controller.effects.text_buffer == ("yes!" if is_read else "")

@@ -75,7 +75,7 @@ def test_motion_ends_at_its_goal(
     assert is_stopped(robot)
 
 
-def test_errors_of_successive_motions_do_not_accumulate(drive: Drive, robot: Turtle | SmrTurtle) -> None:
+def test_position_errors_of_successive_motions_do_not_add_up(drive: Drive, robot: Turtle | SmrTurtle) -> None:
     for _ in range(4):
         drive.forward(0.4).wait(SECONDS)
         drive.turn(90).wait(SECONDS)

@@ -33,10 +33,11 @@ from rhdlink.smrcl.syntax import (
     NumberLiteral,
     VariableName,
 )
+from tests import platforms
 from tests.rhdlink.smrcl.written import write_expression
 
 LIBRARY = ctypes.util.find_library("m")
-pytestmark = pytest.mark.skipif(LIBRARY is None, reason="there is no C library to compare with")
+pytestmark = pytest.mark.skipif(LIBRARY is None, reason=platforms.MACHINE)
 
 PARSER = Parser(COMMANDS)
 #: Variables of the script and their values.
@@ -117,7 +118,7 @@ def _compound(inner: st.SearchStrategy[Expression]) -> st.SearchStrategy[Express
 @pytest.mark.property
 @pytest.mark.parametrize("profile", [MRC, SOUND], ids=lambda profile: profile.name)
 @given(tree=st.recursive(leaves, _compound, max_leaves=12))
-def test_expression_has_the_value_of_c(profile: Profile, tree: Expression) -> None:
+def test_expression_evaluates_as_in_c_language(profile: Profile, tree: Expression) -> None:
     symbols = Symbols((), {}, {})
     for name, value in VALUES.items():
         made = symbols.make(name)

@@ -44,7 +44,7 @@ def cycles_of(line: str, profile: str) -> int:
         ("resetmotors", 8),
     ],
 )
-def test_each_kind_of_line_takes_its_cycles(line: str, cycles: int, profile: str) -> None:
+def test_each_kind_of_line_takes_the_expected_number_of_cycles(line: str, cycles: int, profile: str) -> None:
     found = cycles_of(line, profile)
     assert found == cycles
 
@@ -64,7 +64,7 @@ def test_wait_line_uses_the_end_of_the_previous_command(profile: str) -> None:
 
 
 @PROFILES
-def test_condition_number_is_read_once(profile: str) -> None:
+def test_condition_number_is_zero_after_it_was_read(profile: str) -> None:
     source = "fwd 1 : ($cmdtime > 9) | ($drivendist > 0.1) | (0)\neval $condition\neval $condition\n"
     assert Bench("velomega", profile).run(source).values == [[2.0], [0.0]]
 
@@ -136,7 +136,7 @@ def test_function_generator_keeps_omitted_parameters(profile: str) -> None:
     assert (sent.count(7.0), sent.count(9.0)) == (5, 5)
 
 
-def test_followwall_uses_the_gain_at_its_start() -> None:
+def test_followwall_keeps_the_gain_that_was_set_at_its_start() -> None:
     """MRC copies the gain when the motion starts."""
 
     def end(settings: str) -> tuple[float, float, float]:
@@ -158,7 +158,7 @@ def test_followwall_uses_the_gain_at_its_start() -> None:
 @pytest.mark.parametrize(
     ("line", "printed"), [('wallest "left" 1', "Wrong parameter \n"), ('wallest "lb" 1', ""), ('wallest "rc" 1', "")]
 )
-def test_mrc_messages_of_wallest(line: str, printed: str) -> None:
+def test_mrc_profile_prints_the_messages_of_wallest(line: str, printed: str) -> None:
     assert Bench("velomega", "mrc").run(line).texts(SaidKind.MESSAGE) == ([printed] if printed else [])
 
 
@@ -221,7 +221,7 @@ def test_input_can_be_routed_from_a_variable(profile: str) -> None:
         ('speak "hi"\nopen "wifi"\n', '/usr/local/bin/flite -t "hi"open wifi \n'),
     ],
 )
-def test_mrc_messages_of_invalid_lines(source: str, printed: str) -> None:
+def test_mrc_profile_prints_the_messages_of_invalid_lines(source: str, printed: str) -> None:
     bench = Bench("velomega", "mrc").run(source, cycles=60)
     assert "".join(said.printed for said in bench.said if said.kind is not SaidKind.LINE) == printed
 

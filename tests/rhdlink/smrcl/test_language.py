@@ -187,11 +187,11 @@ def test_operator_precedence_equals_that_of_mrc(text: str, meant: str) -> None:
         ("switch 1", 8, "expected '(' after switch, found '1'"),
         ("a[1 = 3", 5, "expected ']' after the index, found '='"),
         ("fwd 1 é", 7, "expected the end of the line after the parameters, found a character that is not ASCII"),
-        (f"eval {'(' * 70}1", 66, "more than 60 nested brackets and signs"),
+        (f"eval {'(' * 70}1", 66, "brackets and signs are nested too deeply; the maximum is 60"),
         (f"{'a' * 80} = 1", 1, "a name can have at most 79 characters; this one has 80"),
     ],
 )
-def test_problem_has_its_column_and_message(text: str, column: int, message: str) -> None:
+def test_syntax_problem_has_a_column_and_a_message(text: str, column: int, message: str) -> None:
     problem = PARSER.parse(text).problem
     if not message:
         assert problem is None

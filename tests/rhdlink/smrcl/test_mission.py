@@ -78,7 +78,7 @@ ARC = 'log "$odox"\nfwd 0.3\nturnr 0.5 90\nfwd 0.3\nstop\n'
         (SmrTurtle, ARC, 650, (0.8018, 0.7991, 90.02)),
     ],
 )
-def test_drives_end_at_the_pose_of_the_original(
+def test_drives_end_at_the_pose_reached_with_mrc(
     robot: type[Turtle | SmrTurtle], script: str, cycles: int, end: tuple[float, float, float]
 ) -> None:
     """The poses in m, m and degrees, and the numbers of cycles, come from lockstep runs of MRC."""
@@ -154,11 +154,11 @@ def test_integer_variable_of_the_robot_can_be_a_speed() -> None:
 @pytest.mark.parametrize("variable", ["tick[99999]", "tick[-99999]"])
 def test_input_route_beyond_a_variable_is_rejected(variable: str, compat: str) -> None:
     conf = replace(VELOMEGA, routes=(InputRoute("mrc", "motionconnect", "w2odox", variable),))
-    with pytest.raises(BadConfiguration, match=re.escape(f"{variable}: there is no such value")):
+    with pytest.raises(BadConfiguration, match=re.escape(f"routeinput uses {variable}, which is not")):
         Mission("fwd 0.1\n", turtle(), conf=conf, compat=compat).run()
 
 
-def test_mission_requires_a_suitable_robot(tmp_path: Path) -> None:
+def test_mission_raises_without_a_robot_that_has_its_variables(tmp_path: Path) -> None:
     with pytest.raises(BadValue, match="has no robot"):
         Mission("fwd 1\n").run()
     with pytest.raises(BadValue, match="expected a connected robot"):
@@ -195,7 +195,7 @@ def test_mrc_profile_runs_up_to_an_invalid_line() -> None:
 # -- callbacks and functions of a program -------------------------------------------------------------------
 
 
-def test_output_is_delivered_by_kind_and_in_order() -> None:
+def test_mission_output_is_delivered_by_kind_and_in_order() -> None:
     lines: list[str] = []
     everything: list[Said] = []
     mission = Mission('putevent "go"\nprint "a"\neval 2\n', turtle())
@@ -217,7 +217,7 @@ def test_exception_in_a_callback_does_not_affect_others(caplog: pytest.LogCaptur
     assert "no paper" in caplog.text
 
 
-def test_command_that_needs_hardware_calls_a_function() -> None:
+def test_command_for_special_hardware_calls_a_given_function() -> None:
     seen: list[tuple[object, ...]] = []
 
     def vision(*parameters: object) -> dict[str, float]:
@@ -242,7 +242,7 @@ def test_function_that_raises_ends_the_mission_on_its_line() -> None:
     assert is_stopped(robot)
 
 
-def test_provided_sensors_and_variables_are_used() -> None:
+def test_mission_reads_values_from_provider_functions() -> None:
     mission = Mission("x = $line3\ny = $irdistfrontmiddle\nz = $gpsdop\n", turtle())
     mission.provide("line", lambda: [1, 1, 1, 0.25, 1, 1, 1, 1]).provide("ir", lambda: [1, 2, 3, 4, 5])
     run = mission.provide("$gpsdop", lambda: 9.0).run()
@@ -259,7 +259,7 @@ def test_provided_sensors_and_variables_are_used() -> None:
         ("gpsdop", lambda: 1 / 0),
     ],
 )
-def test_invalid_provider_ends_the_mission(name: str, provider: Callable[[], float]) -> None:
+def test_provider_that_fails_ends_the_mission(name: str, provider: Callable[[], float]) -> None:
     robot = turtle()
     with pytest.raises(MissionFailed, match=f"the provider of '{name}' raised"):
         Mission("fwd 1\n", robot).provide(name, provider).run()
@@ -356,7 +356,7 @@ def test_started_mission_can_be_awaited() -> None:
 
 
 @pytest.mark.slow
-def test_run_reports_its_conditions() -> None:
+def test_run_returns_the_values_of_its_stop_conditions() -> None:
     robot = turtle()
     with Mission("drive : ($drivendist > 900) | ($odox < 0)\n", robot).start() as run:
         until(lambda: run.conditions == (False, False))
@@ -489,7 +489,7 @@ def test_tick_of_a_plugin_link_wraps_like_that_of_a_host() -> None:
     assert link.tick == 2**31 + 1
 
 
-def test_given_plugin_link_is_left_open() -> None:
+def test_mission_does_not_close_a_plugin_link_of_the_caller() -> None:
     robot = turtle()
     link = PluginLink([robot])
     Mission("fwd 0.1\n", link).run()

@@ -27,19 +27,19 @@ ENDLESS = 'drive\nlabel "on"\nwait 1\ngoto "on"\n'
 
 
 class Told(Turtle):
-    """Turtle that stores its commands, tick by tick."""
+    """Velocity-omega turtle that stores its commands, tick by tick."""
 
     def __init__(self) -> None:
         super().__init__(World(1000.0))
-        self.told: list[tuple[int, int]] = []
+        self.commands: list[tuple[int, int]] = []
 
     def periodic(self, tick: int) -> None:
         super().periodic(tick)
-        self.told.append((self.cmdtransvel, self.cmdrotvel))
+        self.commands.append((self.cmdtransvel, self.cmdrotvel))
 
     @property
     def is_stopped(self) -> bool:
-        return self.told[-1] == (0, 0)
+        return self.commands[-1] == (0, 0)
 
 
 class ToldSmr(SmrTurtle):
@@ -47,11 +47,11 @@ class ToldSmr(SmrTurtle):
 
     def __init__(self) -> None:
         super().__init__(World(1000.0))
-        self.told: list[tuple[int, int]] = []
+        self.commands: list[tuple[int, int]] = []
 
     def periodic(self, tick: int) -> None:
         super().periodic(tick)
-        self.told.append((self.speedl, self.speedr))
+        self.commands.append((self.speedl, self.speedr))
 
 
 class Held(Told):
@@ -80,19 +80,19 @@ def host(robot: Told) -> Iterator[Host]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [Told, ToldSmr])
-def test_lockstep_host_gets_the_same_commands_as_a_plugin(kind: type[Told | ToldSmr]) -> None:
+def test_mission_sends_same_commands_over_host_and_plugin_link(kind: type[Told | ToldSmr]) -> None:
     here, there = kind(), kind()
     Mission(SCRIPT, here).run()
     with Host([there], port=0, pacing="lockstep") as host, connect(host.address, access="w") as client:
         link = ClientLink(client, is_lockstep=True)
         run = Mission(SCRIPT, link).run()
         assert run.phase is Phase.DONE
-    moved = [told for told in here.told if told != (0, 0)]
-    assert [told for told in there.told if told != (0, 0)] == moved
+    moved = [each for each in here.commands if each != (0, 0)]
+    assert [each for each in there.commands if each != (0, 0)] == moved
     assert len(moved) > 300
     # A host runs a tick before its first request.
-    first = next(place for place, told in enumerate(here.told) if told != (0, 0))
-    assert there.told[first : first + 100] == here.told[first : first + 100]
+    first = next(place for place, each in enumerate(here.commands) if each != (0, 0))
+    assert there.commands[first : first + 100] == here.commands[first : first + 100]
 
 
 @pytest.mark.slow
@@ -151,11 +151,11 @@ def test_silent_host_ends_the_mission_and_stops_later() -> None:
                     run.wait(20.0)
         finally:
             robot.goes_on.set()
-        where = len(robot.told)
-        until(lambda: len(robot.told) > where + 20)
+        where = len(robot.commands)
+        until(lambda: len(robot.commands) > where + 20)
         before = robot.world.odometry
-        where = len(robot.told)
-        until(lambda: len(robot.told) > where + 20)
+        where = len(robot.commands)
+        until(lambda: len(robot.commands) > where + 20)
         assert robot.world.odometry == before
 
 
@@ -191,16 +191,16 @@ def test_ended_process_leaves_the_robot_stopped(host: Host, robot: Told, what: s
     if how == "end":
         assert process.returncode == 0
         assert robot.is_stopped
-    where = len(robot.told)
-    until(lambda: len(robot.told) > where + 3)
+    where = len(robot.commands)
+    until(lambda: len(robot.commands) > where + 3)
     before = robot.world.odometry
-    where = len(robot.told)
-    until(lambda: len(robot.told) > where + 20)
+    where = len(robot.commands)
+    until(lambda: len(robot.commands) > where + 20)
     assert robot.world.odometry == before
 
 
 @pytest.mark.slow
-def test_drive_works_on_a_host(host: Host, robot: Told) -> None:
+def test_drive_moves_a_robot_of_a_host(host: Host, robot: Told) -> None:
     with Drive(host.address) as drive:
         drive.forward(0.2).wait(30.0)
         drive.turn(45).wait(30.0)

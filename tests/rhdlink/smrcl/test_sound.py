@@ -70,7 +70,7 @@ def test_turnr_continues_into_the_next_motion_at_full_speed(robot: str) -> None:
 
 
 @ROBOTS
-def test_stop_stops_the_robot(robot: str) -> None:
+def test_stop_command_stops_the_robot_in_sound_profile(robot: str) -> None:
     source = "turnr 0.5 90\nstop\nwait 5\neval $odox\n"
     sound = Bench(robot).run(source)
     assert math.dist(sound.pose[:2], (0.5, 0.5)) < 0.02
@@ -96,7 +96,7 @@ def test_sign_of_the_speed_does_not_affect_a_turn(robot: str) -> None:
 
 @ROBOTS
 @pytest.mark.parametrize("angle", [180, 270, -200, 720])
-def test_turn_covers_its_whole_angle(robot: str, angle: int) -> None:
+def test_turn_beyond_180_degrees_is_not_shortened(robot: str, angle: int) -> None:
     assert Bench(robot).run(f"turn {angle}\nwait 1\n").pose[2] == pytest.approx(angle, abs=0.3)
     mrc = Bench(robot, "mrc").run(f"turn {angle}\nwait 1\n").pose[2]
     assert mrc == pytest.approx(math.degrees(math.remainder(math.radians(angle), math.tau)), abs=0.3)
@@ -189,7 +189,7 @@ def test_robot_does_not_move_before_its_first_motion() -> None:
 
 
 @ROBOTS
-def test_ticks_of_missed_answers_are_counted(robot: str) -> None:
+def test_speed_is_correct_when_answers_of_the_robot_are_lost(robot: str) -> None:
     """Four of five answers are lost; the robot must not appear to be five times as fast."""
     bench = Bench(robot, conf=dataclasses.replace(SMR, max_tick=130.0) if robot == "differential" else None)
     bench.load("fwd 3\neval $odox\n")
@@ -210,7 +210,7 @@ def test_ticks_of_missed_answers_are_counted(robot: str) -> None:
 # -- the language -------------------------------------------------------------------------------------------
 
 
-def test_remainder_does_not_include_the_divisor() -> None:
+def test_rem_never_returns_the_divisor_in_sound_profile() -> None:
     assert Bench().run("eval rem(3,3)\n").value == 0.0
     assert Bench("velomega", "mrc").run("eval rem(3,3)\n").value == 3.0
 
@@ -235,7 +235,7 @@ def test_script_with_errors_does_not_start() -> None:
     assert mrc.pose[0] > 0.09
 
 
-def test_line_continues_after_a_new_variable() -> None:
+def test_statements_after_a_new_variable_run_in_sound_profile() -> None:
     assert Bench().run("a = 1 b = 2 eval a ; b\n").values == [[1.0, 2.0]]
     mrc = Bench("velomega", "mrc").run("a = 1 b = 2 eval a ; b\neval b\n")
     assert mrc.values == [[1.0]]
@@ -275,7 +275,7 @@ def test_line_continues_after_a_new_variable() -> None:
         ("wait 1 @v n", "@v -nan is not a speed"),
     ],
 )
-def test_impossible_statement_fails_but_mrc_continues(line: str, reason: str) -> None:
+def test_impossible_statement_fails_only_in_sound_profile(line: str, reason: str) -> None:
     source = f'array "q" 3\nz = 0\nn = 0/0\n{line}\neval 1\n'
     bench = Bench().run(source, cycles=300)
     assert bench.reason.startswith(reason)
@@ -284,12 +284,12 @@ def test_impossible_statement_fails_but_mrc_continues(line: str, reason: str) ->
     assert mrc.controller.failure is None
 
 
-def test_mrc_reads_zero_that_is_true_beyond_an_array() -> None:
+def test_mrc_profile_reads_zero_as_true_beyond_an_array() -> None:
     bench = Bench("velomega", "mrc").run('array "q" 3\neval q[9]\nif (q[9]) "x"\neval 5\nlabel "x"\neval q[9] == 0\n')
     assert bench.values == [[0.0], [0.0]]
 
 
-def test_tick_is_the_count_of_the_robot() -> None:
+def test_tick_variable_is_the_robot_tick_in_sound_profile() -> None:
     assert Bench().run("wait 0.1\neval $tick\n").value == 35.0
     assert Bench("velomega", "mrc").run("wait 0.1\neval $tick\n").value == 0.0
 
@@ -310,6 +310,6 @@ def test_sound_profile_allows_more_than_two_watches() -> None:
         assert len(Bench("velomega", profile).run(source).texts(SaidKind.EVENT)) == fired
 
 
-def test_profiles_can_be_mixed() -> None:
+def test_profile_can_combine_rules_of_sound_and_mrc() -> None:
     mixed: Profile = dataclasses.replace(SOUND, turnr_ends=False)
     assert Bench("velomega", mixed).run("turnr 0.5 90\nwait 3\neval rem(3,3)\n").values == [[0.0]]

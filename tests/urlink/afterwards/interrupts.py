@@ -3,17 +3,25 @@
     python -m tests.urlink.afterwards.interrupts --each 75
 
 runs this for every kind of motion and block, 0 to 100 ms after its call was entered, and prints how often the arm
-continued. It needs SIGALRM, and takes about 1.2 s for each interrupt.
+continued. It takes about 1.2 s for each interrupt. `--within 1` also interrupts later, while the program waits for the
+motion.
+
+On Linux and macOS, the interrupt is the signal of a timer. On Windows, it is the Ctrl-C of a console: the program
+starts itself again with its own hidden console, so that no other process receives the Ctrl-C. Under pytest, there is no
+such console. Another thread then raises SIGINT, which is how Windows itself calls the handler of Ctrl-C.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import ctypes
+import os
 import random
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -37,6 +45,10 @@ WITHIN = 0.1
 _BRAKES, _STAYS = 3.0, 0.3
 #: Joint speed below which an arm counts as at rest, in rad/s.
 _RESTS = 1e-3
+#: Variable of the environment of a process that has a console of its own (Windows).
+_OWN_CONSOLE = "URLINK_OWN_CONSOLE"
+#: Flag for a process that must not receive the Ctrl-C of the console (Windows).
+_NEW_GROUP: int = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)
 #: Maximum duration of a kind without an interrupt, in s.
 _LASTS = 10.0
 
@@ -184,7 +196,14 @@ def arms() -> Iterator[list[Robot]]:
         for _ in range(2):
             command = [sys.executable, "-u", "-m", "tests.urlink.afterwards.controller", "ur5e", "10.12"]
             process = opened.enter_context(
-                subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=_ROOT)
+                subprocess.Popen(
+                    command,
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    text=True,
+                    cwd=_ROOT,
+                    creationflags=_NEW_GROUP,
+                )
             )
             opened.callback(process.kill)
             assert process.stdout is not None
@@ -200,16 +219,12 @@ def interrupted(robots: Sequence[Robot], kind: str, after: float) -> str:
     for robot in robots:
         robot.motion.move_joints(controller.READY, speed=1.0, wait=20)
         robot.realtime.wait_until(_rests, timeout=_BRAKES)
-    previous = signal.signal(signal.SIGALRM, signal.default_int_handler)  # raises KeyboardInterrupt, as Ctrl-C does
     try:
-        signal.setitimer(signal.ITIMER_REAL, after)
-        KINDS[kind](robots)
+        with _interrupt(after):
+            KINDS[kind](robots)
         return "was not interrupted"
     except KeyboardInterrupt:
         pass
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, previous)
     for robot in robots:
         try:
             robot.realtime.wait_until(_rests, timeout=_BRAKES)
@@ -229,6 +244,43 @@ def interrupted(robots: Sequence[Robot], kind: str, after: float) -> str:
     return ""
 
 
+if sys.platform == "win32":
+
+    @contextlib.contextmanager
+    def _interrupt(after: float) -> Iterator[None]:
+        """Interrupt the block in this thread after so many seconds."""
+        is_over = threading.Event()
+
+        def interrupt() -> None:
+            if is_over.wait(after):
+                return
+            if _OWN_CONSOLE in os.environ:
+                ctypes.windll.kernel32.GenerateConsoleCtrlEvent(0, 0)
+            else:
+                signal.raise_signal(signal.SIGINT)
+
+        thread = threading.Thread(target=interrupt)
+        thread.start()
+        try:
+            yield
+        finally:
+            is_over.set()
+            thread.join()
+
+else:
+
+    @contextlib.contextmanager
+    def _interrupt(after: float) -> Iterator[None]:
+        """Interrupt the block in this thread after so many seconds."""
+        previous = signal.signal(signal.SIGALRM, signal.default_int_handler)  # raises KeyboardInterrupt, as Ctrl-C does
+        try:
+            signal.setitimer(signal.ITIMER_REAL, after)
+            yield
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            signal.signal(signal.SIGALRM, previous)
+
+
 def _rests(state: Any) -> bool:
     return bool(np.abs(state.qd_target).max() < _RESTS)
 
@@ -238,14 +290,35 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--each", type=int, default=75, help="interrupts of each kind (default: 75)")
     parser.add_argument("--seed", type=int, default=1, help="seed of the moments (default: 1)")
     parser.add_argument("--kinds", nargs="*", choices=KINDS, default=list(KINDS), help="kinds to try (default: all)")
+    parser.add_argument("--within", type=float, default=WITHIN, help="latest interrupt, in s (default: 0.1)")
     options = parser.parse_args(argv)
+    if sys.platform == "win32" and _OWN_CONSOLE not in os.environ:
+        command = [
+            sys.executable,
+            "-u",
+            "-m",
+            "tests.urlink.afterwards.interrupts",
+            *(sys.argv[1:] if argv is None else argv),
+        ]
+        environment = {**os.environ, _OWN_CONSOLE: "1"}
+        # A process with its own console gets only the output that it is given.
+        done = subprocess.run(
+            command,
+            env=environment,
+            creationflags=subprocess.CREATE_NO_WINDOW,
+            check=False,
+            stdin=subprocess.DEVNULL,
+            stdout=sys.stdout,
+            stderr=sys.stderr,
+        )
+        return done.returncode
     chance = random.Random(options.seed)
     wrong = 0
     with arms() as robots:
         for kind in options.kinds:
             found: dict[str, int] = {}
             for _ in range(options.each):
-                after = chance.uniform(0.0, WITHIN)
+                after = chance.uniform(0.0, options.within)
                 what = interrupted(robots, kind, after)
                 if what:
                     print(f"  {kind}, interrupted after {after * 1e3:.2f} ms: {what}", flush=True)

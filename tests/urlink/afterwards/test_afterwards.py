@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import signal
 import time
 from collections.abc import Callable
 from functools import cache
@@ -17,6 +16,7 @@ from functools import cache
 import pytest
 
 from linkcore.simulated import simulated_time
+from tests import platforms
 from tests.urlink.afterwards.rigs import TIMEOUT, Processes, Rig, Simulated
 from tests.urlink.afterwards.table import (
     BACK,
@@ -113,7 +113,7 @@ def one_of_each_column() -> list[tuple[str, str, str]]:
 
 @pytest.mark.matrix(9)
 @pytest.mark.parametrize(("firmware", "name", "column"), tried())
-def test_motion_behaves_as_the_table_says(firmware: str, name: str, column: str) -> None:
+def test_motion_ends_or_continues_as_listed_in_the_table(firmware: str, name: str, column: str) -> None:
     is_watched = IS_WHOLE and ROWS[name].becomes(column, firmware) == GOES_ON and firmware == firmwares(name)[0]
     end = undisturbed(firmware, name) if is_watched else None
     with simulated_time(seed=1, limit=300.0) as sim:
@@ -134,15 +134,15 @@ def undisturbed(firmware: str, name: str) -> list[float]:
 
 @pytest.mark.slow
 @pytest.mark.timeout(120)
-@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="suspending a process needs SIGSTOP, a POSIX signal")
+@platforms.needs_signals
 @pytest.mark.parametrize(("firmware", "name", "column"), one_of_each_column())
 @pytest.mark.real_time
-def test_real_processes_behave_as_the_table_says(
+def test_motion_of_real_processes_ends_or_continues_as_listed(
     rig: Callable[..., Processes], firmware: str, name: str, column: str
 ) -> None:
     is_alone = column == "silence"
     if is_alone and (os.geteuid() != 0 or not all(map(shutil.which, ("unshare", "nsenter", "ip")))):
-        pytest.skip("cutting a network needs root on Linux, with unshare, nsenter and ip")
+        pytest.skip(platforms.NETWORKS)
     what_becomes_of_it(rig(firmware, name, is_alone=is_alone), firmware, name, column)
 
 
@@ -217,4 +217,4 @@ def called_meanwhile(rig: Rig, expected: str, *, is_answered: bool) -> None:
     else:
         assert expected == LATE
         assert not is_same or rig.ask("moves")
-        assert failed == "made" if is_answered else "may still" in failed
+        assert failed == "made" if is_answered else "might still" in failed

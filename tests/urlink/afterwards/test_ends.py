@@ -30,7 +30,7 @@ INTERRUPTED = {
 
 @pytest.mark.matrix(9)
 @pytest.mark.parametrize(("name", "how"), list(cases()))
-def test_end_of_a_program_affects_the_arm_as_the_table_says(name: str, how: str) -> None:
+def test_arm_behaves_as_listed_in_the_table_when_a_program_ends(name: str, how: str) -> None:
     row, firmware = ROWS[name], firmwares(name)[-1]
     with simulated_time(seed=1, limit=300.0) as sim:
         rig = Simulated(sim, firmware, name)
@@ -49,7 +49,7 @@ def test_end_of_a_program_affects_the_arm_as_the_table_says(name: str, how: str)
             assert rested < RESTS
 
 
-def test_rows_that_can_be_interrupted_have_a_kind() -> None:
+def test_every_interruptible_row_has_a_kind() -> None:
     missing = [
         name for name, row in ROWS.items() if row.lasts and row.interrupted and INTERRUPTED.get(name, name) not in KINDS
     ]

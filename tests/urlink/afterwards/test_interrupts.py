@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-import signal
 from collections.abc import Iterator
 
 import pytest
@@ -14,7 +13,6 @@ from urlink.robot import Robot
 pytestmark = [
     pytest.mark.real_time,
     pytest.mark.slow,
-    pytest.mark.skipif(not hasattr(signal, "SIGALRM"), reason="interrupting at a chosen moment needs SIGALRM of POSIX"),
 ]
 
 

@@ -52,7 +52,7 @@ CHANGES = {
 
 
 class Cell:
-    """Robots, host and files for opening the parts.
+    """Robots, host and files that are needed to create the objects whose methods are called.
 
     Attributes:
         robot: An asyncio robot.

@@ -137,7 +137,7 @@ def test_starting_a_motion_requires_wait(controller: Controller) -> None:
     run(command())
 
 
-def test_each_part_works_like_the_blocking_part(controller: Controller) -> None:
+def test_each_async_part_works_like_its_blocking_part(controller: Controller) -> None:
     async def use() -> None:
         async with urlink.connect_async(controller.address) as robot:
             async with robot.interpreter() as interpreter:
@@ -176,7 +176,7 @@ def test_each_part_works_like_the_blocking_part(controller: Controller) -> None:
 
 
 @pytest.mark.slow
-def test_history_and_live_plot_of_a_stream(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_async_stream_has_history_and_live_plot(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[tuple[plotting.Plot, float]] = []
     monkeypatch.setattr(plotting.LivePlot, "update", lambda self, plot, pause: drawn.append((plot, pause)))
 

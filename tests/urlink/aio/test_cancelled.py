@@ -228,11 +228,13 @@ def may_follow(name: str, data: bytes) -> bool:
     """Whether data may be sent after a task has ended: to stop the arm, or to open an RTDE connection.
 
     The message of a link that stops is all zeros, and ends with its date of 4 bytes. RTDE packages begin with their
-    size and their type; "U" is a data package, which a link over RTDE sends to stop.
+    size and their type; "U" is a data package, which a link over RTDE sends to stop. A call of `stop` is made even if
+    the task that awaits it has ended.
     """
     types = (b"V", b"v", b"O", b"I", b"S", *([b"U"] if name in (OVER_RTDE, STREAM_OVER_RTDE) else []))
     stops_link = len(data) > 4 and not any(data[:-4])
-    return b"urlink_stop" in data or stops_link or data[2:3] in types
+    is_stop = name == "stop" and b"\n  stopj(" in data
+    return is_stop or b"urlink_stop" in data or stops_link or data[2:3] in types
 
 
 @contextlib.asynccontextmanager
@@ -303,7 +305,7 @@ def test_cancelled_recording_is_closed(tmp_path: Path, controller: Controller, s
             break
 
 
-def test_unanswered_claim_of_inputs_leaves_no_task(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cancelled_claim_of_inputs_leaves_no_task(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
     """The controller has accepted the connection of an RTDE link, and hangs."""
     asked = asyncio.Event()
 

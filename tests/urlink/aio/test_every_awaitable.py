@@ -137,18 +137,18 @@ def _by_class() -> dict[str, list[str]]:
     return {kind: list(names) for kind, names in itertools.groupby(awaitables(), lambda name: name.partition(".")[0])}
 
 
-def test_every_awaitable_can_be_tested() -> None:
+def test_every_awaitable_has_a_test_case() -> None:
     assert not lacking(), "\n" + "\n".join(lacking())
 
 
 @pytest.mark.parametrize("kind", _by_class())
-def test_cancel_at_one_turn_leaves_nothing(kind: str, bench: Bench) -> None:
+def test_cancel_in_one_loop_iteration_leaves_nothing_behind(kind: str, bench: Bench) -> None:
     names = _by_class()[kind]
     _try(names, lambda name: (2 + 7 * names.index(name) % 16,), bench)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", awaitables())
-def test_cancel_at_every_turn_leaves_nothing(name: str, bench: Bench) -> None:
+def test_cancel_in_any_loop_iteration_leaves_nothing_behind(name: str, bench: Bench) -> None:
     later = itertools.takewhile(lambda turn: turn < MOST, (int(EACH * 1.3**n) for n in itertools.count()))
     _try([name], lambda name: itertools.chain(range(1, EACH), later), bench)

@@ -18,6 +18,7 @@ from linkcore.pending_call import PendingCall
 from tests.urlink.aio.every_awaitable import FAR, MOVEJ, READY, is_busy
 from urlink import Trajectory
 from urlink.aio.async_group import AsyncGroup
+from urlink.motion.stream.stream_points import PointReader
 from urlink.simulator import Controller, Still
 
 pytestmark = pytest.mark.simulated_time
@@ -143,7 +144,7 @@ def test_stop_does_not_queue_behind_waits(controller: Controller) -> None:
     asyncio.run(main())
 
 
-def test_block_is_left_while_calls_wait(controller: Controller) -> None:
+def test_force_mode_block_ends_at_once_while_calls_wait(controller: Controller) -> None:
     async def main() -> None:
         async with connected(controller) as robot:
             async with robot.motion.force_mode("base", [0, 0, 1, 0, 0, 0], [0, 0, -30, 0, 0, 0], [0.1] * 6):
@@ -229,13 +230,13 @@ def test_unsent_replace_keeps_points(controller: Controller, monkeypatch: pytest
         q = robot.realtime.wait().q_target
         with robot.motion.stream(buffer=0.3) as stream:
             stream.append(Trajectory.from_arrays([0.0, 0.5], [q, q + 0.02]), wait=False)
-            curve = stream._curve
+            curve = PointReader.curve
 
             def computed(*arguments: Any) -> Any:
                 call.give_up()
                 return curve(*arguments)
 
-            monkeypatch.setattr(stream, "_curve", computed)
+            monkeypatch.setattr(PointReader, "curve", computed)
             with pytest.raises(Cancelled):
                 call.make(lambda: stream.replace(0.3, Trajectory.from_arrays([0.0, 5.0], [q, q + 0.6])))
             stream.wait_until_dry()

@@ -87,7 +87,7 @@ def line_for(blocking: type, name: str) -> str:
 
 
 @each_pair
-def test_both_classes_have_the_same_names(blocking: type, awaited: type) -> None:
+def test_async_and_blocking_class_have_the_same_names(blocking: type, awaited: type) -> None:
     here, there = surface(awaited) - MORE.get(awaited, set()), surface(blocking)
     place = f"class {awaited.__name__} in src/{awaited.__module__.replace('.', '/')}.py"
     missing = "".join(f"\n{line_for(blocking, name)}" for name in sorted(there - here))
@@ -99,7 +99,7 @@ def test_both_classes_have_the_same_names(blocking: type, awaited: type) -> None
 
 
 @each_pair
-def test_methods_have_the_same_arguments(blocking: type, awaited: type) -> None:
+def test_async_and_blocking_methods_have_the_same_arguments(blocking: type, awaited: type) -> None:
     for name in methods(blocking):
         wanted, found = (
             {
@@ -114,7 +114,7 @@ def test_methods_have_the_same_arguments(blocking: type, awaited: type) -> None:
 
 
 @pytest.mark.parametrize("kind", [kind for kind in PAIRS.values() if issubclass(kind, AwaitedPart)])
-def test_methods_are_awaited_or_blocks_and_typos_raise(kind: type[AwaitedPart[Any]]) -> None:
+def test_async_methods_are_coroutines_or_blocks_and_typos_raise(kind: type[AwaitedPart[Any]]) -> None:
     part: Any = object.__new__(kind)
     part._part = part._workers = None
     for name in methods(kind):
@@ -268,7 +268,7 @@ def test_types_of_all_results_match_the_blocking_api(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 @pytest.mark.real_time
-def test_mypy_finds_mistakes(tmp_path: Path) -> None:
+def test_mypy_reports_every_planted_mistake(tmp_path: Path) -> None:
     found = typed(tmp_path, MISTAKES)
     errors = [int(line.split(":")[1]) for line in found if ": error: " in line]
     assert sorted(set(errors)) == _wrong_lines(), "\n".join(found)
@@ -277,7 +277,7 @@ def test_mypy_finds_mistakes(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 @pytest.mark.real_time
-def test_pyright_finds_mistakes(tmp_path: Path) -> None:
+def test_pyright_reports_every_planted_mistake(tmp_path: Path) -> None:
     pyright = shutil.which("pyright", path=os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
     if pyright is None:
         pytest.skip("pyright is not installed")

@@ -41,7 +41,7 @@ def is_even(curve: Curve, part: float) -> None:
 
 @pytest.mark.property
 @given(poses(), poses(), parts)
-def test_line_is_straight_and_even(start: Array, end: Array, part: float) -> None:
+def test_line_is_straight_with_constant_speed(start: Array, end: Array, part: float) -> None:
     line = Line(start.tolist(), end.tolist())
     assert apart(line.pose(0.0), start.tolist()) < 1e-9
     assert apart(line.pose(1.0), end.tolist()) < 1e-9
@@ -53,7 +53,9 @@ def test_line_is_straight_and_even(start: Array, end: Array, part: float) -> Non
 
 @pytest.mark.property
 @given(poses(), poses(), poses(), parts)
-def test_arc_is_even_and_passes_through_middle_point(start: Array, via: Array, end: Array, part: float) -> None:
+def test_arc_has_constant_speed_and_passes_through_middle_point(
+    start: Array, via: Array, end: Array, part: float
+) -> None:
     arc = arc_of(start, via, end)
     assert apart(arc.pose(0.0), start.tolist()) < 1e-9
     assert apart(arc.pose(1.0), end.tolist()) < 1e-9
@@ -65,7 +67,7 @@ def test_arc_is_even_and_passes_through_middle_point(start: Array, via: Array, e
         assert arc.part(arc.pose(part)) == pytest.approx(part, abs=1e-9)
 
 
-def test_positions_beyond_ends_count_as_closer_end() -> None:
+def test_position_beyond_a_curve_end_maps_to_that_end() -> None:
     line = Line([0.0] * 6, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     assert [line.part([x, 5.0, 0.0]) for x in (-1.0, 0.25, 2.0)] == [0.0, 0.25, 1.0]
     quarter = Arc([1.0, 0, 0, 0, 0, 0], [math.sqrt(0.5), math.sqrt(0.5), 0, 0, 0, 0], [0, 1.0, 0, 0, 0, 0])
@@ -74,7 +76,7 @@ def test_positions_beyond_ends_count_as_closer_end() -> None:
     assert Line([1.0] * 6, [1.0] * 6).part([0.0] * 3) == 0.0
 
 
-def test_fixed_tool_turns_with_arc() -> None:
+def test_tool_orientation_turns_with_the_arc_if_fixed() -> None:
     quarter = Arc(
         [1.0, 0, 0, 0, 0, 0.5], [math.sqrt(0.5), math.sqrt(0.5), 0, 0, 0, 0], [0, 1.0, 0, 0, 0, 0], is_fixed=True
     )

@@ -90,7 +90,7 @@ def test_parts_add_up_to_torque_and_give_acceleration(
 
 @pytest.mark.property
 @given(models, joints, speeds)
-def test_coriolis_work_equals_change_of_mass_matrix(of: Model, q: list[float], qd: list[float]) -> None:
+def test_coriolis_work_equals_change_of_kinetic_energy(of: Model, q: list[float], qd: list[float]) -> None:
     # Energy is conserved: qd' c(q, qd) is half the change of qd' M qd at constant speeds.
     arm = Dynamics(of)
     step = 1e-6
@@ -131,7 +131,7 @@ def test_many_states_give_the_same_as_one_by_one() -> None:
 
 
 @pytest.mark.parametrize("of", MODELS.values(), ids=MODELS)
-def test_rotors_are_on_the_diagonal(of: Model) -> None:
+def test_rotor_inertias_are_added_to_the_mass_matrix_diagonal(of: Model) -> None:
     q, qd, qdd = np.full(6, 0.3), np.full(6, 0.5), np.arange(6.0)
     bare, whole, own = Dynamics(of), Dynamics(of, rotors=True), Dynamics(of, rotors=[1, 2, 3, 4, 5, 6])
     rotors = np.array(motors_of(of).rotor_inertias)

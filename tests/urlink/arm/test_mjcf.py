@@ -21,7 +21,7 @@ def placed(element: ElementTree.Element) -> np.ndarray:
 
 
 @pytest.mark.parametrize("arm", [Arm("UR3e"), Arm("UR8 Long"), calibrated("UR10", 2)], ids=lambda arm: arm.model.name)
-def test_frames_lead_to_flange(arm: Arm) -> None:
+def test_mjcf_frames_end_at_the_flange(arm: Arm) -> None:
     root = ElementTree.fromstring(to_mjcf(arm))
     pose = np.zeros(6)
     body = root.find("worldbody/body")

@@ -37,7 +37,7 @@ WEIGHTS: dict[str, float | None] = {
 }
 
 
-def test_table_contains_every_arm_by_name() -> None:
+def test_model_table_contains_every_arm_by_name() -> None:
     assert list(MODELS) == list(WEIGHTS)
     assert all(arm.name == name for name, arm in MODELS.items())
     with pytest.raises(TypeError):
@@ -100,7 +100,7 @@ def test_reach_is_between_stretched_arm_and_wrist(arm: Model) -> None:
 
 
 @EVERY
-def test_links_weigh_most_of_the_arm(arm: Model) -> None:
+def test_link_masses_add_up_to_most_of_the_arm_weight(arm: Model) -> None:
     weight = WEIGHTS[arm.name]
     if weight is None:
         pytest.skip(f"the weight of a {arm.name} is not known here")
@@ -118,7 +118,7 @@ def test_centre_of_mass_is_inside_link(arm: Model) -> None:
 
 
 @EVERY
-def test_limits_are_whole_turns_and_degrees_per_second(arm: Model) -> None:
+def test_joint_limits_are_full_turns_and_round_speeds(arm: Model) -> None:
     assert (arm.position_limits[:, 0] == -arm.position_limits[:, 1]).all()
     assert (arm.position_limits[:5, 1] == 2.0 * math.pi).all()
     assert math.isinf(arm.position_limits[5, 1]) == arm.name.startswith("UR3") & (arm.name != "UR30")
@@ -137,7 +137,7 @@ def test_inertias_are_physically_possible(arm: Model) -> None:
 
 
 @EVERY
-def test_guesses_name_attributes(arm: Model) -> None:
+def test_guesses_contain_only_attribute_names(arm: Model) -> None:
     assert arm.guesses <= set(vars(arm))
     # The accelerations that controllers report are known for two arms.
     assert ("max_acceleration" in arm.guesses) == (arm.name not in ("UR5", "UR5e"))

@@ -53,13 +53,13 @@ def place(row: Parameter) -> Path:
     return SRC.joinpath(*row.used.split(".")).with_suffix(".py")
 
 
-def test_guesses_are_counted() -> None:
+def test_guesses_in_comments_and_docstrings_are_counted() -> None:
     assert guesses('"""A guess."""\n# one\n# and a guess: 3\nx = 1  # guessed\n') == 3
     assert guesses('"""Its `guesses`."""\nguess = guesses(1)  # as guess_sender does\n') == 0
 
 
 @pytest.mark.slow
-def test_table_lists_every_guess() -> None:
+def test_parameter_table_lists_every_guess() -> None:
     """A module that mentions more guesses than the table has rows for it has a guess that is not listed."""
     listed = Counter(place(row) for row in ROWS if row.evidence == "guess")
     # The module that reads the table explains the word.
@@ -99,7 +99,7 @@ def test_each_number_is_used_by_one_module() -> None:
     assert [name for name, modules in used.items() if modules > 1] == []
 
 
-def test_table_contains_all_borrowed_values() -> None:
+def test_parameter_table_contains_all_values_marked_as_guesses() -> None:
     borrowed = {name: {row.name for row in ROWS if (row.of, row.used) == (name, "arm.models")} for name in MODELS}
     assert borrowed == {name: set(arm.guesses) for name, arm in MODELS.items()}
 

@@ -130,7 +130,7 @@ def test_small_rotation_keeps_all_digits(axis: Array, angle: float) -> None:
 
 @pytest.mark.property
 @given(directions, st.floats(math.pi, 20.0))
-def test_large_rotation_is_returned_the_short_way(axis: Array, angle: float) -> None:
+def test_large_rotation_is_returned_as_shortest_rotation(axis: Array, angle: float) -> None:
     matrix = to_matrix([0.0, 0.0, 0.0, *(axis / np.linalg.norm(axis) * angle)])
     back = from_matrix(matrix)
     assert np.linalg.norm(back[3:]) <= math.pi + 1e-15
@@ -140,7 +140,7 @@ def test_large_rotation_is_returned_the_short_way(axis: Array, angle: float) -> 
 @pytest.mark.parametrize(
     "axis", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.6, 0.0, -0.8), (-0.6, 0.8, 0.0)]
 )
-def test_half_turn_is_exact(axis: tuple[float, float, float]) -> None:
+def test_rotation_by_half_a_turn_is_exact(axis: tuple[float, float, float]) -> None:
     # An exact matrix, without the rounding of sin(pi): 2 axis axis' - 1.
     matrix = np.eye(4)
     matrix[:3, :3] = 2.0 * np.outer(axis, axis) - np.eye(3)
@@ -170,7 +170,7 @@ def test_roll_is_zero_if_pitch_is_a_quarter_turn() -> None:
         assert abs(yaw) == pytest.approx(0.3, abs=1e-7)
 
 
-def test_quaternions_are_x_y_z_w() -> None:
+def test_quaternions_have_the_order_x_y_z_w() -> None:
     np.testing.assert_allclose(rotvec_to_quaternion([0.0, 0.0, 0.2]), [0.0, 0.0, math.sin(0.1), math.cos(0.1)])
     np.testing.assert_allclose(quaternion_to_rotvec([0.0, 0.0, 0.0, 5.0]), [0.0, 0.0, 0.0])
 

@@ -89,7 +89,7 @@ def test_names_and_positions_match_vendor_description(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["UR3e", "UR20"])
-def test_shapes_reach_from_joint_to_joint(name: str) -> None:
+def test_urdf_cylinders_reach_from_joint_to_joint(name: str) -> None:
     """Each cylinder is as long as its link and ends where the next joint begins."""
     root = ElementTree.fromstring(to_urdf(name, shapes=True))
     joints = {vector_of(joint, "parent"): joint for joint in root.findall("joint")}

@@ -62,7 +62,7 @@ def dissected(run: Run, data: bytes, tmp_path: Path, *options: str) -> list[dict
 # -- one packet ----------------------------------------------------------------------------------------
 
 
-def test_realtime_packet(run: Run, tmp_path: Path) -> None:
+def test_dissect_prints_realtime_packet(run: Run, tmp_path: Path) -> None:
     data = bytes(RealtimeState("3.4", time=951.5, q_actual=[1, 2, 3, 4, 5, float("nan")], digital_input_bits=5))
     path = tmp_path / "packet.bin"
     path.write_bytes(data)
@@ -127,7 +127,7 @@ def test_firmware_option_selects_layout(run: Run, tmp_path: Path) -> None:
     assert run("dissect", str(path), "--firmware", "3.1")[0] == 0
     status, out, err = run("dissect", str(path), "--firmware", "5.4")
     assert (status, err) == (1, "")
-    assert "!! RealtimeState of firmware 5.4: packet too short: expected 1116 bytes, got 1044" in out
+    assert "!! RealtimeState of firmware 5.4: the packet is too short: expected 1116 bytes, got 1044" in out
 
 
 # -- damaged data --------------------------------------------------------------------------------------
@@ -215,7 +215,7 @@ def test_dissect_fails_without_any_packet(run: Run, tmp_path: Path, data: bytes)
 # -- files ---------------------------------------------------------------------------------------------
 
 
-def test_interface_is_guessed() -> None:
+def test_dissect_detects_the_interface_from_the_bytes() -> None:
     controller = Controller("UR5", "1.8")
     controller.step()
     assert guess_interface(controller.realtime_packet()) == "realtime"
@@ -240,7 +240,7 @@ def test_recording_shows_both_interfaces(run: Run, recording: Path) -> None:
     assert [strict(line)["type"] for line in only.splitlines()] == types[20:]
     status, _, err = run("dissect", str(recording), "--interface", "secondary")
     assert status == 1
-    assert "contains no secondary" in err
+    assert "has no channel 'secondary'" in err
 
 
 def test_connections_of_recording_are_dissected_separately(run: Run, tmp_path: Path) -> None:
@@ -313,11 +313,11 @@ def _interface(path: Path) -> str:
 
 
 @pytest.mark.captures("ur")
-def test_captures_exist() -> None:
+def test_captured_connections_are_found() -> None:
     assert _CAPTURES
 
 
-def test_dissection_equals_decoded_packet() -> None:
+def test_dissected_values_equal_the_decoded_packet() -> None:
     state = RealtimeState("5.11", q_actual=[1, 2, 3, 4, 5, 6])
     (piece,) = dissect(bytes(state), "realtime", None)
     values = {row.name: row.value for row in piece.rows}

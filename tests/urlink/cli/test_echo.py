@@ -13,7 +13,7 @@ from urlink.packets import RealtimeState
 from urlink.protocol.firmware import NEWEST
 from urlink.robot import connect
 from urlink.simulator import Controller
-from urlink.simulator.faults.link import with_tail
+from urlink.simulator.faults.link import with_sub_package, with_tail
 
 from .conftest import Run, write
 
@@ -74,7 +74,7 @@ def test_echo_prints_robot_states_as_json(run: Run, address: str, interface: str
 
 
 @pytest.mark.parametrize("kind", ["JointData", "VersionMessage", "RobotMessage", "State"])
-def test_type_chooses_packets(run: Run, address: str, kind: str) -> None:
+def test_type_option_selects_the_packets(run: Run, address: str, kind: str) -> None:
     status, out, _ = run("echo", address, "--type", kind, "--count", "1", "--json")
     assert status == 0
     assert strict(out)["type"] == ("JointData" if kind == "JointData" else "VersionMessage")
@@ -125,10 +125,7 @@ def test_hostile_text_never_reaches_the_terminal(run: Run, recording: Path, opti
 def test_unknown_tails_and_sub_packages_are_shown(run: Run, tmp_path: Path) -> None:
     controller = Controller("UR5e", NEWEST)
     controller.step()
-    controller.faults.unknown_sub_package(77, b"one")
-    state = controller._link.lasting("primary", controller.state_package())
-    controller.faults.unknown_sub_package(78, b"two")
-    state = controller._link.lasting("primary", state)
+    state = with_sub_package(with_sub_package(controller.state_package(), 77, b"one"), 78, b"two")
     packet = with_tail(controller.realtime_packet(), b"newfield")
     path = write(tmp_path / "x.urlog", {"realtime": [packet], "primary": [state]})
     record = strict(run("echo", played(path), "--interface", "primary", "--json")[1])

@@ -35,12 +35,12 @@ _STATS = StreamStatistics(
 _COUNTERS = "received 9 missed 7 duplicates 0 failed 1 reconnects 3"
 
 
-def test_line_shows_rate_and_periods() -> None:
+def test_hz_line_shows_rate_and_periods() -> None:
     text = line(deque([0.001, 0.002, 0.003]), 3, _STATS)
     assert text == f"500.00 Hz | period min 1.000 mean 2.000 max 3.000 std 0.816 ms | window 3 | {_COUNTERS}"
 
 
-def test_line_with_too_few_states() -> None:
+def test_hz_line_reports_too_few_states() -> None:
     assert line(deque(), 0, _STATS) == f"no new states | {_COUNTERS}"
     assert line(deque(), 1, _STATS) == f"one state so far | {_COUNTERS}"
     assert line(deque([0.0]), 1, _STATS).startswith("- Hz | period min 0.000")

@@ -13,7 +13,7 @@ from .conftest import Run, write
 pytestmark = pytest.mark.simulated_time
 
 
-def test_info_prints_facts(run: Run, controller: Controller, address: str) -> None:
+def test_info_prints_firmware_model_and_packet_sizes(run: Run, controller: Controller, address: str) -> None:
     status, out, err = run("info", address)
     assert (status, err) == (0, "")
     for part in (
@@ -42,7 +42,7 @@ def test_info_prints_json(run: Run, address: str, controller: Controller) -> Non
 
 
 @pytest.mark.parametrize("release", RELEASES, ids=lambda release: str(release.since))
-def test_info_knows_every_release(run: Run, tmp_path: Path, release: object) -> None:
+def test_info_recognises_every_firmware_release(run: Run, tmp_path: Path, release: object) -> None:
     firmware = str(release.since)  # type: ignore[attr-defined]
     path = write(tmp_path / "x.urlog", {"realtime": []}, info={"firmware": firmware})
     facts = strict(run("info", f"replay://{path}", "--json")[1])

@@ -9,12 +9,13 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from tests import platforms
 from tests.waiting import until
 from urlink.simulator import Controller
 
 from .conftest import Run
 
-pty = pytest.importorskip("pty")
+pty = pytest.importorskip("pty", reason=platforms.TERMINALS)
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@ from __future__ import annotations
 import argparse
 import importlib
 import importlib.metadata
-import signal
 import socket
 import subprocess
 import sys
@@ -17,6 +16,7 @@ import urlink.cli
 from linkcore.cli.options import Subcommand, command
 from linkcore.cli.program import Plugin
 from tests.listed import assert_listed
+from tests.spawning import ENDINGS, Ending
 from urlink.cli import info
 
 from .conftest import Run, write
@@ -90,7 +90,7 @@ def test_common_options_are_accepted_before_the_command(
         (("info", "sim://", "--jsn"), "unrecognized arguments: --jsn; did you mean '--json'?"),
     ],
 )
-def test_options_before_the_command_are_explained(run: Run, argv: tuple[str, ...], hint: str) -> None:
+def test_option_before_the_command_gives_a_usage_hint(run: Run, argv: tuple[str, ...], hint: str) -> None:
     status, _, err = run(*argv)
     assert status == 2
     assert err.splitlines()[-1].endswith(hint)
@@ -220,8 +220,8 @@ def test_wrong_usage_exits_with_2(run: Run, argv: tuple[str, ...]) -> None:
         (("info", "a b"), "is not an address"),
         (("info", "ftp://x"), "unknown scheme"),
         (("monitor", "ur://127.0.0.1?primary=1&secondary=1"), "connection refused"),
-        (("echo", "replay:///no/such/file"), "cannot read /no/such/file"),
-        (("replay", "/no/such/file"), "cannot read /no/such/file"),
+        (("echo", "replay:///no/such/file"), f"cannot read {Path('/no/such/file')}"),
+        (("replay", "/no/such/file"), f"cannot read {Path('/no/such/file')}"),
         (("replay", __file__), "is not a recording"),
         (("dissect", "/no/such/file"), "cannot read /no/such/file"),
         (("sim", "--model", "UR7"), "no arm is called 'UR7'"),
@@ -280,14 +280,14 @@ def test_closed_pipe_is_not_an_error(spawn: Spawn, address: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(("end", "status"), ENDINGS)
 @pytest.mark.parametrize("command", ["echo", "hz", "monitor"])
 @pytest.mark.real_time
-def test_signals_end_command_quietly(spawn: Spawn, address: str, command: str, number: int, status: int) -> None:
+def test_signals_end_command_quietly(spawn: Spawn, address: str, command: str, end: Ending, status: int) -> None:
     process = spawn(command, "--quiet", address)
     assert process.stdout is not None
     assert process.stdout.readline()
-    process.send_signal(number)
+    end(process)
     _, err = process.communicate(timeout=20)
     assert process.returncode == status
     summary = ["urlink: watched", "urlink: next:"] if command == "monitor" else []

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import io
 import os
-import pty
 import re
 import signal
 import subprocess
@@ -19,8 +18,10 @@ from rich.console import Console
 
 import linkcore.clock
 import urlink
+from linkcore.cli.terminal import quoted
 from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.statistics import StreamStatistics
+from tests import platforms
 from tests.harm import HOSTILE, assert_harmless
 from urlink.cli import monitor
 from urlink.cli.monitor_panel import MonitorPanel
@@ -85,7 +86,7 @@ def test_plain_lines_show_rate_pose_and_modes(run: Run, address: str) -> None:
         r"received \d+ missed 0 duplicates 0 failed 0 reconnects 0",
         watched,
     )
-    assert step == f"urlink: next: urlink record '{address}' run.urlog to record what the robot sends"
+    assert step == f"urlink: next: urlink record {quoted(address)} run.urlog to record what the robot sends"
     lines = out.splitlines()
     assert len(lines) == 3  # immediately, after a second, and at the end
     for text in lines:
@@ -99,7 +100,7 @@ def test_plain_lines_show_rate_pose_and_modes(run: Run, address: str) -> None:
 
 
 @pytest.mark.parametrize("interface", ["realtime", "primary"])
-def test_monitor_omits_missing_fields_of_old_firmware(run: Run, old_address: str, interface: str) -> None:
+def test_monitor_omits_fields_that_old_firmware_does_not_send(run: Run, old_address: str, interface: str) -> None:
     status, out, _ = run("monitor", old_address, "--interface", interface, "--duration", "0.3", "--plain")
     assert status == 0
     assert "robot RUNNING" in out
@@ -123,15 +124,23 @@ def test_monitor_ends_with_recording(run: Run, recording: Path) -> None:
     assert "OLD DATA" in out.splitlines()[-1]
 
 
+RUN = Path("/tmp/run one.urlog")
+
+
 @pytest.mark.parametrize(
     ("status", "counts", "address", "step"),
     [
         (StreamStatus.CONNECTED, {}, "sim://", "urlink record sim:// run.urlog"),
-        (StreamStatus.SLOW, {}, "sim://?motion=still", "urlink doctor 'sim://?motion=still'"),
+        (StreamStatus.SLOW, {}, "sim://?motion=still", "urlink doctor QUOTEsim://?motion=stillQUOTE"),
         (StreamStatus.LOST, {}, "10.0.0.7", "urlink doctor 10.0.0.7"),
         (StreamStatus.CONNECTED, {"missed": 3}, "10.0.0.7", "urlink doctor 10.0.0.7"),
         (StreamStatus.CONNECTED, {"reconnects": 1}, "10.0.0.7", "urlink doctor 10.0.0.7"),
-        (StreamStatus.ENDED, {}, "replay:///tmp/run%20one.urlog?rate=2", "urlink replay '/tmp/run one.urlog'"),
+        (
+            StreamStatus.ENDED,
+            {},
+            "replay:///tmp/run%20one.urlog?rate=2",
+            f"urlink replay QUOTE{Path('/tmp/run one.urlog')}QUOTE",
+        ),
     ],
 )
 def test_next_step_depends_on_status_and_counts(
@@ -139,6 +148,7 @@ def test_next_step_depends_on_status_and_counts(
 ) -> None:
     stats = replace(_STATS, **({"missed": 0, "reconnects": 0} | counts))
     view = MonitorView("UR5e", address, status, Reading(None), stats)
+    step = step.replace("QUOTE", '"' if platforms.IS_WINDOWS else "'")
     assert monitor.next_step(view, address).startswith(f"next: {step} ")
 
 
@@ -273,7 +283,7 @@ def test_status_is_slow_when_states_are_missing(address: str, controller: Contro
         assert view.stats.missed
 
 
-def test_age_text_uses_suitable_unit() -> None:
+def test_age_text_uses_milliseconds_seconds_or_minutes() -> None:
     assert [age_text(age) for age in (0.0021, 3.44, 90, 1200)] == ["2 ms", "3.4 s", "90.0 s", "20 min"]
 
 
@@ -281,7 +291,7 @@ def test_age_text_uses_suitable_unit() -> None:
 
 
 @pytest.mark.parametrize("release", RELEASES, ids=lambda release: str(release.since))
-def test_every_firmware_can_be_read_and_painted(release: Any) -> None:
+def test_monitor_reads_and_draws_every_firmware(release: Any) -> None:
     firmware: Firmware = release.since
     controller = Controller(None, firmware)
     controller.step(10)
@@ -302,7 +312,7 @@ def test_every_firmware_can_be_read_and_painted(release: Any) -> None:
     assert read(primary).analog[-1].value == pytest.approx(4.0)
 
 
-def test_state_without_sub_packages_can_be_painted() -> None:
+def test_monitor_draws_a_state_without_sub_packages() -> None:
     view = MonitorView("UR", "made", StreamStatus.CONNECTED, read(urlink.packets.RobotState()), _STATS)
     assert "joint" not in painted(view)
     assert "robot –" in painted(view)
@@ -382,6 +392,7 @@ def test_monitor_escapes_hostile_text_of_recording(run: Run, tmp_path: Path) -> 
 
 def on_terminal(*argv: str, interrupt_after: bytes | None = None, code: str = "") -> tuple[int, str]:
     """Run the monitor on a terminal; return its exit status and its whole output."""
+    pty = pytest.importorskip("pty", reason=platforms.TERMINALS)
     master, slave = pty.openpty()
     program = f"import sys; {code or 'pass'}; from urlink.cli import main; sys.exit(main(sys.argv[1:]))"
     environment = {**os.environ, "TERM": "xterm-256color", "COLUMNS": "100", "LINES": "40"}

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import signal
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -8,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from linkcore.recording.file import Kind, RecordingFile
+from tests.spawning import ENDINGS, Ending
 from urlink import decode
 from urlink.simulator import Controller
 
@@ -69,13 +69,13 @@ def test_lost_connections_are_in_the_file(run: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_signals_close_the_file_properly(spawn: Spawn, address: str, tmp_path: Path, number: int, status: int) -> None:
+@pytest.mark.parametrize(("end", "status"), ENDINGS)
+def test_signals_close_the_file_properly(spawn: Spawn, address: str, tmp_path: Path, end: Ending, status: int) -> None:
     path = tmp_path / "run.urlog"
     process = spawn("record", address, str(path))
     assert process.stderr is not None
     assert "Ctrl-C ends it" in process.stderr.readline()
-    process.send_signal(number)
+    end(process)
     out, err = process.communicate(timeout=20)
     assert (process.returncode, err) == (status, "")
     assert "bytes, complete\n" in out

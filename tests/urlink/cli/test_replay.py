@@ -122,7 +122,7 @@ def test_fields_without_rate_are_rejected(run: Run, recording: Path) -> None:
 def test_replay_fails_for_unrecorded_interface(run: Run, recording: Path) -> None:
     status, out, err = run("replay", str(recording), "--rate", "max", "--interface", "secondary")
     assert (status, out) == (1, "")
-    assert "contains no secondary; it contains realtime, primary" in err
+    assert "has no channel 'secondary'; its channels are realtime, primary" in err
 
 
 def test_replay_rejects_unknown_field(run: Run, recording: Path) -> None:

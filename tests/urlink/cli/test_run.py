@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import io
-import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -9,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.spawning import interrupt
 from tests.waiting import until
 from urlink.simulator import Controller
 
@@ -74,7 +74,7 @@ def test_ctrl_c_stops_program(
     process = spawn("run", address, program('textmsg("begun")\nwhile True:\n  sync()\nend\n'))
     assert process.stdout is not None
     assert process.stdout.readline() == "begun\n"
-    process.send_signal(signal.SIGINT)
+    interrupt(process)
     assert process.wait(20) == 130
     until(lambda: controller.program_name is None)
 

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import signal
 import socket
 import subprocess
 from collections.abc import Callable
@@ -9,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import urlink
+from tests.spawning import ENDINGS, Ending
 from tests.waiting import until
 from urlink.packets import SafetyMode
 from urlink.session.address import RobotAddress, parse_address
@@ -29,15 +29,15 @@ def test_sim_ends_after_duration(run: Run) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_sim_serves_until_a_signal(spawn: Spawn, number: int, status: int) -> None:
+@pytest.mark.parametrize(("end", "status"), ENDINGS)
+def test_sim_serves_until_a_signal(spawn: Spawn, end: Ending, status: int) -> None:
     process = spawn("sim", "--model", "UR10", "--firmware", "3.4", "--host", "127.0.0.1")
     assert process.stdout is not None
     address = process.stdout.readline().strip()
     with urlink.connect(address) as robot:
         assert (robot.model, str(robot.firmware)) == ("UR10", "3.4")
         robot.realtime.wait()
-    process.send_signal(number)
+    end(process)
     _, err = process.communicate(timeout=20)
     assert process.returncode == status
     assert "Traceback" not in err
@@ -133,7 +133,7 @@ def test_simulated_arm_is_at_rest_unless_motion_is_demo(spawn: Spawn, argv: tupl
 
 
 @pytest.mark.slow
-def test_sim_like_ursim_starts_with_its_state(spawn: Spawn) -> None:
+def test_sim_like_ursim_starts_in_the_state_of_ursim(spawn: Spawn) -> None:
     process = spawn("sim", "--like", "ursim", "--noise", "off")
     assert process.stdout is not None
     with urlink.connect(process.stdout.readline().strip()) as robot:
@@ -145,7 +145,7 @@ def test_sim_like_ursim_starts_with_its_state(spawn: Spawn) -> None:
 
 
 @pytest.mark.slow
-def test_like_ursim_passes_the_vendors_dashboard_suite(spawn: Spawn) -> None:
+def test_sim_like_ursim_passes_the_vendors_dashboard_tests(spawn: Spawn) -> None:
     # The commands, and the replies that the tests of the UR Client Library expect from URSim.
     process = spawn("sim", "--like", "ursim", "--firmware", "5.25", "--noise", "off")
     assert process.stdout is not None
@@ -207,7 +207,7 @@ def test_like_ursim_passes_the_vendors_dashboard_suite(spawn: Spawn) -> None:
 
 
 @pytest.mark.slow
-def test_like_ursim_in_local_control_refuses_commands(spawn: Spawn) -> None:
+def test_sim_like_ursim_in_local_control_refuses_commands(spawn: Spawn) -> None:
     process = spawn("sim", "--like", "ursim", "--local-control")
     assert process.stdout is not None
     with urlink.connect(process.stdout.readline().strip()) as robot:

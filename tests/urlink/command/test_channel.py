@@ -9,7 +9,6 @@ from collections.abc import Callable
 import pytest
 
 from linkcore.errors import Cancelled, ConnectionLost, LinkTimeout
-from linkcore.net.undo import PendingUndos
 from linkcore.pending_call import PendingCall, check_wanted
 from tests.fakes.line import Desk, give_up, slow
 from urlink.command.channel import CommandChannel
@@ -29,7 +28,7 @@ def desk() -> Desk:
     return desk
 
 
-def test_motion_times_out_after_half_a_second_without_room(desk: Desk) -> None:
+def test_motion_times_out_if_send_buffer_is_full_for_0_5_s(desk: Desk) -> None:
     # If only a part was sent, the connection is aborted, so that the controller does not receive the rest.
     for room, aborts in ((0, 0), (3, 1)):
         desk.waits.clear()
@@ -44,12 +43,12 @@ def test_motion_times_out_after_half_a_second_without_room(desk: Desk) -> None:
 
 
 @pytest.mark.parametrize("line", ["stopj(2)", "stopj(2)\n", "stopj(2)\n\n"])
-def test_motion_ends_text_with_one_newline(desk: Desk, line: str) -> None:
+def test_motion_sends_text_with_exactly_one_final_newline(desk: Desk, line: str) -> None:
     desk.channel.motion(line)
     assert desk.sent == ["stopj(2)\n"]
 
 
-def test_motion_without_wait_sends_immediately_or_fails(desk: Desk) -> None:
+def test_motion_without_wait_sends_or_raises_immediately(desk: Desk) -> None:
     desk.primary.room = 0
     with pytest.raises(LinkTimeout, match="within 0 s"):
         desk.channel.motion(TEXT, wait=False)
@@ -66,7 +65,7 @@ def test_motion_checks_interlock_again_after_each_wait(desk: Desk, room: int) ->
     desk.primary.room = room
 
     def stop() -> None:
-        desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
+        desk.primary.deliver(slow(SafetyMode.PROTECTIVE_STOP))
         desk.primary.room = None
 
     desk.meanwhile = stop
@@ -74,13 +73,13 @@ def test_motion_checks_interlock_again_after_each_wait(desk: Desk, room: int) ->
         desk.channel.motion(TEXT)
     assert "".join(desk.sent) == TEXT[:room]
     assert desk.primary.aborts == (room > 0)
-    desk.primary.tell(slow())
+    desk.primary.deliver(slow())
     desk.channel.motion("stopj(2)")
     assert desk.sent[-1] == "stopj(2)\n"
 
 
 @pytest.mark.parametrize("room", [0, 3])
-def test_text_does_not_continue_on_another_connection(desk: Desk, room: int) -> None:
+def test_partly_sent_script_is_not_continued_on_a_new_connection(desk: Desk, room: int) -> None:
     desk.primary.room = room
 
     def reconnect() -> None:
@@ -153,7 +152,7 @@ def test_interrupted_text_is_not_continued_after_signal_handler(desk: Desk) -> N
     assert (desk.sent, desk.primary.aborts) == (["mov", "stopj(2)\n"], 1)
 
 
-def test_waiting_for_text_of_another_thread_sleeps(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_thread_sleeps_while_another_thread_sends_its_script(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     desk.primary.room = 3
     begun, go_on = threading.Event(), threading.Event()
 
@@ -190,21 +189,23 @@ NEWS: dict[str, tuple[Callable[[CommandChannel], object], RobotState, bool]] = {
 
 
 @pytest.mark.parametrize("name", NEWS)
-def test_blocked_call_waits_for_next_report(desk: Desk, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_call_waits_for_next_state_if_last_one_forbids_motion(
+    desk: Desk, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The blocking state may be outdated, so the call waits for the next report."""
     act, in_the_way, moves = NEWS[name]
     asked: list[bool] = []
 
     def await_news(moves: bool) -> None:
         asked.append(moves)
-        desk.primary.tell(slow())
+        desk.primary.deliver(slow())
 
     monkeypatch.setattr(desk.monitor, "await_news", await_news)
-    desk.primary.tell(in_the_way)
+    desk.primary.deliver(in_the_way)
     act(desk.channel)
     assert asked == [moves]
     if name == "motion":
-        desk.primary.tell(in_the_way)
+        desk.primary.deliver(in_the_way)
         with pytest.raises(SafetyStop):
             desk.channel.motion(TEXT, wait=False)
         assert asked == [moves]
@@ -212,9 +213,9 @@ def test_blocked_call_waits_for_next_report(desk: Desk, name: str, monkeypatch: 
 
 def test_setpoint_is_sent_when_next_report_permits_motion(desk: Desk) -> None:
     sent: list[int] = []
-    desk.monitor.await_news = lambda moves: desk.primary.tell(slow())  # type: ignore[method-assign]
+    desk.monitor.await_news = lambda moves: desk.primary.deliver(slow())  # type: ignore[method-assign]
     for mode, safety in ((RobotMode.RUNNING, SafetyMode.FAULT), (RobotMode.IDLE, SafetyMode.NORMAL)):
-        desk.primary.tell(slow(safety, mode))
+        desk.primary.deliver(slow(safety, mode))
         desk.channel.setpoint(lambda: sent.append(1))
     assert sent == [1, 1]
 
@@ -244,7 +245,7 @@ def test_claimed_text_is_sent_when_its_task_is_cancelled(desk: Desk, monkeypatch
     assert desk.sent == [f"{TEXT}\n"]
 
 
-def test_discard_aborts_only_recently_sent_text(desk: Desk) -> None:
+def test_discard_aborts_only_if_a_script_was_sent_recently(desk: Desk) -> None:
     desk.channel.discard(1000.0)
     assert desk.primary.aborts == 0  # nothing was ever sent
     desk.channel.motion(TEXT)
@@ -257,10 +258,10 @@ def test_discard_aborts_only_recently_sent_text(desk: Desk) -> None:
     assert desk.primary.aborts == 1  # nothing was sent since the last abort
 
 
-def test_beside_and_setpoint_check_safety_and_robot_mode(desk: Desk) -> None:
+def test_setting_and_set_point_check_safety_and_robot_mode(desk: Desk) -> None:
     """Set-points need an arm that may be moved; settings that move nothing need only a running robot."""
     sent: list[str] = []
-    desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
+    desk.primary.deliver(slow(SafetyMode.PROTECTIVE_STOP))
     desk.channel.check_running()
     desk.channel.beside(lambda: sent.append("setting"))
     for is_stop in (False, True):
@@ -268,13 +269,13 @@ def test_beside_and_setpoint_check_safety_and_robot_mode(desk: Desk) -> None:
             desk.channel.setpoint(lambda: sent.append("set-point"), is_stop=is_stop)
     with pytest.raises(SafetyStop):
         desk.channel.check()
-    desk.primary.tell(slow(mode=RobotMode.POWER_OFF))
+    desk.primary.deliver(slow(mode=RobotMode.POWER_OFF))
     with pytest.raises(NotRunning):
         desk.channel.check_running()
     with pytest.raises(NotRunning):
         desk.channel.beside(lambda: sent.append("setting"))
     assert sent == ["setting"]
-    desk.primary.tell(slow())
+    desk.primary.deliver(slow())
     desk.interlock.policy = "always"
     with pytest.raises(SafetyStop, match="not enabled"):
         desk.channel.setpoint(lambda: sent.append("set-point"))
@@ -299,9 +300,9 @@ def test_motion_undoes_abandoned_command_first(
     options: dict[str, bool], may_wait: bool, order: list[str], pending: tuple[str, ...]
 ) -> None:
     """Pending undos wait for a call that can wait and is not a stop. A replacing program drops them."""
-    desk, undos, seen = Desk(may_wait=may_wait), PendingUndos("controller"), list[str]()
+    desk, seen = Desk(may_wait=may_wait), list[str]()
     desk.clear()
-    channel = CommandChannel(desk.channel._connection, desk.monitor, desk.section, desk.clock, undos)
+    undos = desk.undos
 
     def undo(client: object, is_wanted: Callable[[], bool]) -> None:
         time.sleep(0.3)
@@ -309,22 +310,22 @@ def test_motion_undoes_abandoned_command_first(
             seen.append("undone")
 
     give_up(undos, "play", undo)
-    channel.motion(TEXT, claim=lambda: seen.append("sent"), **options)
+    desk.channel.motion(TEXT, claim=lambda: seen.append("sent"), **options)
     assert (seen, undos.pending) == (order, pending)
     undos.close()
 
 
 def test_motion_waits_one_second_for_failing_undo() -> None:
-    desk, undos = Desk(may_wait=True), PendingUndos("controller")
+    desk = Desk(may_wait=True)
     desk.clear()
-    channel = CommandChannel(desk.channel._connection, desk.monitor, desk.section, desk.clock, undos)
+    undos = desk.undos
 
     def undo(client: object, is_wanted: Callable[[], bool]) -> None:
         raise ConnectionLost("it is away")
 
     give_up(undos, "play", undo)
     begin = time.monotonic()
-    channel.motion(TEXT)
+    desk.channel.motion(TEXT)
     assert time.monotonic() - begin == pytest.approx(1.0, abs=0.05)
     assert (desk.sent, undos.pending) == ([TEXT + "\n"], ("play",))
     undos.close()

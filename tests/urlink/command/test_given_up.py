@@ -25,7 +25,7 @@ def given_up(phase: GivenUpPhase) -> GivenUpProgram:
 
 @pytest.mark.parametrize("event", GivenUpEvent)
 @pytest.mark.parametrize("phase", GivenUpPhase)
-def test_event_sets_phase_and_name(phase: GivenUpPhase, event: GivenUpEvent) -> None:
+def test_event_changes_phase_and_name_as_in_the_table(phase: GivenUpPhase, event: GivenUpEvent) -> None:
     program = given_up(phase)
     program.fire(event, "second")
     assert program.phase is TRANSITIONS[phase, event]
@@ -43,7 +43,7 @@ def test_event_without_abandoned_program_changes_nothing(event: GivenUpEvent) ->
     assert program.phase is GivenUpPhase.NONE
 
 
-def test_hinder_returns_clear_to_kept() -> None:
+def test_hinder_event_changes_phase_clear_to_kept() -> None:
     program = given_up(GivenUpPhase.CLEAR)
     program.fire(GivenUpEvent.HINDER)
     assert (program.phase, program.is_kept) == (GivenUpPhase.KEPT, True)

@@ -109,7 +109,7 @@ def expected(policy: Policy, state: str, event: str) -> str:
 @pytest.mark.parametrize("event", EVENTS)
 @pytest.mark.parametrize("state", STATES)
 @pytest.mark.parametrize("policy", POLICIES)
-def test_event_in_state_gives_expected_verdict(policy: Policy, state: str, event: str) -> None:
+def test_interlock_event_gives_expected_verdict_in_each_state(policy: Policy, state: str, event: str) -> None:
     driver = Driver(policy)
     for each in STATES[state]:
         driver.do(each)
@@ -169,7 +169,7 @@ def test_missing_report_or_mode_means_not_running() -> None:
     assert interlock.refusal_to_begin(1.0) is None
 
 
-def test_has_reported_includes_lost_sources() -> None:
+def test_has_reported_is_true_for_a_lost_source() -> None:
     interlock = Interlock()
     interlock.expect("primary")
     assert [interlock.has_reported(name) for name in ("primary", "realtime")] == [False, False]
@@ -207,7 +207,7 @@ def test_silence_reported_by_reader_ends_motions_once() -> None:
     assert isinstance(interlock.refusal_to_begin(2.6), NotEnabled)
 
 
-def test_missing_part_of_report_keeps_previous_value() -> None:
+def test_missing_part_of_a_state_keeps_the_previous_value() -> None:
     """A state without the safety part must not clear a stop."""
     interlock = Interlock()
     interlock.report("primary", STOP, 1.0)
@@ -222,7 +222,7 @@ def test_missing_part_of_report_keeps_previous_value() -> None:
     assert interlock.cause is None
 
 
-def test_amend_without_complete_report_has_no_effect() -> None:
+def test_partial_report_has_no_effect_before_a_complete_report() -> None:
     interlock = Interlock()
     interlock.report("realtime", CLEAR, 1.0)
     interlock.report("primary", CLEAR, 1.0)
@@ -307,11 +307,11 @@ def test_robot_modes_of_cb2_permit_or_stop(mode: RobotModeCB2) -> None:
         (Status(RobotModeCB2.RUNNING, master_safety_state=MasterSafetyState.UNDEFINED), None),
     ],
 )
-def test_cause_follows_flags_and_masterboard(status: Status, cause: str | None) -> None:
+def test_cause_of_stop_is_derived_from_flags_and_masterboard(status: Status, cause: str | None) -> None:
     assert status.cause == cause
 
 
-def test_absence_ignores_a_stop_of_a_running_robot() -> None:
+def test_absence_is_none_for_a_running_robot_with_a_stop() -> None:
     interlock = Interlock("always")
     interlock.report("primary", STOP, 1.0)
     assert interlock.absence(1.0) is None
@@ -355,7 +355,7 @@ def test_interlock_rejects_unknown_policy() -> None:
         Interlock("sometimes")  # type: ignore[arg-type]
 
 
-def test_has_reported_since_requires_every_source() -> None:
+def test_has_reported_since_is_false_until_every_source_reported() -> None:
     interlock = Interlock()
     running = Status(RobotMode.RUNNING, SafetyMode.NORMAL)
     interlock.report("primary", running, 100.0)
@@ -365,7 +365,7 @@ def test_has_reported_since_requires_every_source() -> None:
     assert interlock.has_reported_since(100.0)
 
 
-def test_statuses_start_with_newest_report() -> None:
+def test_statuses_are_sorted_with_the_newest_report_first() -> None:
     interlock = Interlock()
     slow, fast = Status(RobotMode.RUNNING, SafetyMode.NORMAL), Status(RobotMode.RUNNING, SafetyMode.PROTECTIVE_STOP)
     interlock.report("primary", slow, 100.0)

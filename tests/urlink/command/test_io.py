@@ -74,7 +74,7 @@ def test_io_rejects_missing_channels_and_invalid_values(robot: ScriptedControlle
     assert robot.sent == []
 
 
-def test_getters_read_both_interfaces(robot: ScriptedController) -> None:
+def test_io_getters_read_primary_and_realtime_states(robot: ScriptedController) -> None:
     io = robot.io
     board = {
         "digital_input_bits": 1 << 3 | 1 << 8 | 1 << 17,
@@ -179,7 +179,7 @@ def test_wait_digital_in_uses_realtime_states(firmware: str, wait: Callable[[IO,
             robot.fast.put(bytes(packet(RealtimeState, robot.firmware, digital_input_bits=bits)))
 
         show(~(1 << bit) & 0xFFFF)
-        with pytest.raises(LinkTimeout, match=r"digital input \d is not on: .*within 0\.05 s"):
+        with pytest.raises(LinkTimeout, match=r"digital input \d was not switched on: .*within 0\.05 s"):
             wait(robot.io, True, 0.05)
         thread = threading.Thread(target=lambda: show(1 << bit))
         thread.start()

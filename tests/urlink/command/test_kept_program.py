@@ -201,8 +201,8 @@ def states(desk: Programming, count: int, **shown: bool) -> None:
 
 def short_stop(desk: Programming) -> None:
     """Simulate a stop that ends before the primary interface reports it."""
-    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
-    desk.realtime.tell(fast())
+    desk.realtime.deliver(fast(SafetyMode.PROTECTIVE_STOP))
+    desk.realtime.deliver(fast())
 
 
 def says_so(run: Run) -> None:
@@ -266,7 +266,7 @@ def test_program_sent_before_stop_is_not_stopped_when_it_begins() -> None:
     assert not script.done
 
 
-def test_reader_does_not_wait_when_controller_reads_nothing() -> None:
+def test_reader_thread_does_not_wait_if_send_buffer_is_full() -> None:
     desk = Programming()
     stopped(desk)
     desk.primary.room = 0
@@ -277,7 +277,7 @@ def test_reader_does_not_wait_when_controller_reads_nothing() -> None:
     assert desk.stops == 1
 
 
-def test_kept_program_replaced_before_its_stop_is_not_stopped() -> None:
+def test_no_stop_is_sent_after_the_kept_program_was_replaced() -> None:
     """Another thread sends the next motion between the state and the stop."""
     desk = Programming()
     stopped(desk)
@@ -297,17 +297,21 @@ def test_kept_program_replaced_before_its_stop_is_not_stopped() -> None:
     assert not sent[0].done
 
 
+#: A script that preempts no other one.
+BESIDE = "sec blink():\n  set_flag(1, True)\nend"
+
+
 def test_concurrent_listen_subscribes_once() -> None:
     desk = Programming()
     subscribe, before = desk.primary.subscribe_inline, len(desk.primary.subscribers)
 
     def meanwhile(kind: type, callback: Callable[[Any], object]) -> Subscriber:
         desk.primary.subscribe_inline = subscribe  # type: ignore[method-assign]
-        desk.programs._listen()
+        desk.script(BESIDE)
         return subscribe(kind, callback)
 
     desk.primary.subscribe_inline = meanwhile  # type: ignore[method-assign]
-    desk.programs._listen()
+    desk.script(BESIDE)
     assert len(desk.primary.subscribers) == before + 2
 
 
@@ -331,7 +335,7 @@ def test_other_program_is_not_stopped_after_end_or_replacement(title: str, name:
 
 
 @pytest.mark.parametrize(("title", "is_its_own"), [(STOPPED, False), (STARTED, True)])
-def test_report_about_other_program_keeps_kept_program(title: str, is_its_own: bool) -> None:
+def test_report_about_another_program_does_not_end_kept_program(title: str, is_its_own: bool) -> None:
     desk = Programming()
     run = stopped(desk)
     desk.key(title, run.program if is_its_own else "theirs")
@@ -352,7 +356,7 @@ def test_kept_program_is_stopped_without_enable() -> None:
 
 
 @pytest.mark.parametrize(("firmware", "stops"), [("5.11", 2), ("1.8", 1)])
-def test_stop_is_repeated_only_when_ends_are_reported(firmware: str, stops: int) -> None:
+def test_stop_is_repeated_only_if_firmware_reports_program_ends(firmware: str, stops: int) -> None:
     """A CB2 does not report ends by name, so a program that runs later may be a different one."""
     desk = Programming(firmware=firmware)
     run = desk.motion(asks=False)
@@ -381,10 +385,10 @@ def test_script_cancelled_during_stop_is_stopped_afterwards() -> None:
     script = desk.script()
     script.says("started")
     desk.state(0.1, runs=True)
-    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
+    desk.realtime.deliver(fast(SafetyMode.PROTECTIVE_STOP))
     script.cancel()
     assert desk.stops == 0
-    desk.realtime.tell(fast())
+    desk.realtime.deliver(fast())
     states(desk, 3, paused=True)
     assert desk.stops == 1
 
@@ -423,10 +427,10 @@ def test_next_stop_does_not_forget_kept_program() -> None:
     """The next stop comes before the second state without the previous stop."""
     desk = Programming()
     stopped(desk)
-    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
+    desk.realtime.deliver(fast(SafetyMode.PROTECTIVE_STOP))
     states(desk, 3, paused=True)
     assert desk.stops == 0
-    desk.realtime.tell(fast())
+    desk.realtime.deliver(fast())
     states(desk, 2, paused=True)
     assert desk.stops == 1
 
@@ -457,9 +461,9 @@ def test_program_ended_by_power_off_is_not_stopped_later() -> None:
     run = desk.motion(asks=False)
     run.says("started")
     desk.state(0.1, runs=True)
-    desk.realtime.tell(fast(mode=RobotMode.POWER_OFF))
+    desk.realtime.deliver(fast(mode=RobotMode.POWER_OFF))
     assert run.end.startswith("NotRunning")
-    desk.realtime.tell(fast())
+    desk.realtime.deliver(fast())
     states(desk, 3, runs=True)
     assert desk.stops == 0
 
@@ -533,7 +537,7 @@ def test_program_has_ended_when_later_script_begins() -> None:
     run, script = moving(desk), desk.script()
     script.begins()
     assert run.end.startswith("Cancelled")
-    desk.programs.stop(run._life)
+    desk.programs.stop(run.life)
     ends_by_itself(desk, script)
 
 
@@ -554,7 +558,7 @@ def test_cancelled_secondary_program_stops_nothing() -> None:
     assert desk.stops == 0
 
 
-def test_end_of_secondary_program_does_not_advance_stop() -> None:
+def test_end_of_secondary_program_does_not_trigger_pending_stop() -> None:
     """Like a state, it may arrive before the report of the running program."""
     desk = Programming()
     beside = desk.script(BESIDE)
@@ -580,16 +584,16 @@ def test_program_cancelled_before_stop_is_stopped_after_stop(caplog: pytest.LogC
     desk = Programming()
     run, script = moving(desk), desk.script()
     run.cancel()
-    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
+    desk.realtime.deliver(fast(SafetyMode.PROTECTIVE_STOP))
     assert script.end.startswith("SafetyStop")
     assert desk.stops == 0
-    desk.realtime.tell(fast())
+    desk.realtime.deliver(fast())
     states(desk, 2, paused=True)
     assert desk.stops == 1
     assert caplog.messages == []
 
 
-def test_stop_is_left_to_later_script_in_unknown_robot_state(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unknown_robot_state_ends_no_program_during_a_script(monkeypatch: pytest.MonkeyPatch) -> None:
     """The interlock is not asked whether the program may be stopped."""
 
     def unknown(is_stop: bool) -> None:
@@ -617,7 +621,7 @@ def test_close_warns_about_program_that_stays_paused(
     desk = Programming()
     moving(desk)
     if is_stopped:
-        desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
+        desk.realtime.deliver(fast(SafetyMode.PROTECTIVE_STOP))
     desk.state(0.1, **state)
     desk.programs.close(0.0)
     assert ("is paused on the controller and might resume later" in caplog.text) is warns
@@ -626,7 +630,6 @@ def test_close_warns_about_program_that_stays_paused(
 def test_close_before_first_state_does_not_warn(caplog: pytest.LogCaptureFixture) -> None:
     desk = Programming()
     desk.motion().begins()
-    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
-    desk.programs._mode = None
+    desk.realtime.deliver(fast(SafetyMode.PROTECTIVE_STOP))
     desk.programs.close(0.0)
     assert "closed during a stop" not in caplog.text

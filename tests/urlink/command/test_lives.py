@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import re
+import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -52,13 +54,13 @@ def test_start_timeout_is_converted_to_controller_cycles(firmware: str, seconds:
     assert "urlink_cycles" not in desk.sent[-1]
 
 
-def test_start_fails_under_stop_and_after_end_of_life(desk: Programming) -> None:
-    desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
+def test_start_raises_during_a_stop_and_after_the_program_ended(desk: Programming) -> None:
+    desk.primary.deliver(slow(SafetyMode.PROTECTIVE_STOP))
     life = desk.programs.life("refused")
     with pytest.raises(SafetyStop):
         desk.programs.start(desk.programs.own(["movej(q)"]), life)
     assert isinstance(life.error, SafetyStop)
-    desk.primary.tell(slow())
+    desk.primary.deliver(slow())
     ends: list[tuple[Callable[[Lifecycle], object], type[Exception]]] = [
         (lambda life: life.fail(ConnectFailed("gone")), ConnectFailed),
         (lambda life: life.cancel("given up"), Cancelled),
@@ -69,10 +71,13 @@ def test_start_fails_under_stop_and_after_end_of_life(desk: Programming) -> None
         with pytest.raises(error):
             desk.programs.start(desk.programs.own(["movej(q)"]), life)
     assert desk.sent == []
-    assert desk.programs._runs == {}
+    ended = weakref.ref(life)
+    del life
+    gc.collect()
+    assert ended() is None
 
 
-def test_interrupt_while_sending_ends_life(desk: Programming, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_program_ends_when_sending_is_interrupted(desk: Programming, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*args: object, **options: object) -> None:
         raise KeyboardInterrupt
 
@@ -110,7 +115,7 @@ def test_motion_of_signal_handler_preempts_interrupted_motion(desk: Programming)
     with pytest.raises(Cancelled, match=r"was preempted by motion urlink_"):
         desk.motion()
     assert len(desk.sent) == 1
-    assert desk.programs.current is others[0]._life
+    assert desk.programs.current is others[0].life
 
 
 @pytest.mark.parametrize("is_beside", [True, False])
@@ -135,7 +140,7 @@ def test_program_begins_once_and_gets_permission(desk: Programming) -> None:
     assert len(desk.sent) == 2
     assert "urlink_permission" in desk.sent[1]
     run.says("half way")
-    desk.primary.tell(TextMessage(FIRMWARE, text="1\n\0"))
+    desk.primary.deliver(TextMessage(FIRMWARE, text="1\n\0"))
     assert run.texts == [f"{run.program} half way", "1"]
 
 
@@ -148,7 +153,7 @@ def test_program_cancelled_at_last_moment_gets_no_permission(desk: Programming, 
         require(is_stop)
         desk.monitor.require = require  # type: ignore[method-assign]
         if is_over:
-            run._life.cancel("given up")
+            run.life.cancel("given up")
 
     desk.monitor.require = meanwhile  # type: ignore[method-assign]
     run.begins()
@@ -176,7 +181,7 @@ def test_program_without_permission_fails_with_timeout(desk: Programming) -> Non
     ("options", "what_if"),
     [
         ({}, "it moves nothing if it begins later"),
-        ({"asks": False}, "if it begins later, it may still move the arm"),
+        ({"asks": False}, "if it begins later, it might still move the arm"),
         ({"asks": False, "is_linked": True}, "it moves nothing if it begins later"),
         ({"asks": False, "is_stop": True}, "it moves nothing if it begins later"),
     ],
@@ -191,7 +196,7 @@ def test_program_that_does_not_begin_fails_with_timeout(
     desk.state(0.1, runs=True)
     assert isinstance(run.error, LinkTimeout)
     assert "did not begin within 5 s" in run.end
-    assert f"the robot mode is RUNNING, a program runs; {what_if}; an e-Series" in run.end
+    assert f"the robot mode is RUNNING, a program is running; {what_if}; an e-Series" in run.end
 
 
 def test_start_timeout_counts_from_sending(desk: Programming, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -206,14 +211,14 @@ def test_start_timeout_counts_from_sending(desk: Programming, monkeypatch: pytes
     desk.state(4.9)
     assert run.phase is Phase.SENT
     desk.state(0.2)
-    assert "no program runs" in run.end
+    assert "no program is running" in run.end
 
 
 def test_secondary_program_times_out(desk: Programming) -> None:
     run = desk.script(SEC)
     run.begins()
     desk.state(5.1, runs=True)
-    assert "did not end within 5 s; no error was reported; the robot mode is RUNNING, a program runs" in run.end
+    assert "did not end within 5 s; no error was reported; the robot mode is RUNNING, a program is running" in run.end
     assert "later" not in run.end
 
 
@@ -235,7 +240,7 @@ def test_finished_program_ends_by_key_message_or_flag(desk: Programming, is_told
     assert ends == ["here"]
 
 
-def test_finish_marker_also_marks_beginning(desk: Programming) -> None:
+def test_program_counts_as_begun_when_its_finish_marker_arrives(desk: Programming) -> None:
     """The start marker might be missed, for example just after a reconnection."""
     before, run = desk.script(), desk.script()
     run.says("finished")
@@ -261,7 +266,7 @@ def test_paused_program_keeps_its_phase(desk: Programming, is_paused: bool) -> N
 
 
 @pytest.mark.parametrize("has_keys", [True, False])
-def test_program_ends_when_flag_stays_clear(desk: Programming, has_keys: bool) -> None:
+def test_program_ends_when_its_running_flag_stays_clear(desk: Programming, has_keys: bool) -> None:
     """The limit is half a second. With key messages it is five seconds, because they might have been lost."""
     run = desk.script()
     if has_keys:
@@ -285,7 +290,7 @@ def test_stop_reported_after_end_is_the_cause(desk: Programming) -> None:
     run.stops()
     desk.state(0.3)
     assert run.phase is Phase.RUNNING
-    desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
+    desk.primary.deliver(slow(SafetyMode.PROTECTIVE_STOP))
     assert "protective stop" in run.end
 
 
@@ -300,7 +305,7 @@ def test_end_without_power_raises_not_running(desk: Programming) -> None:
     desk.interlock.policy = "never"
     run = desk.script()
     run.begins()
-    desk.primary.tell(slow(mode=RobotMode.POWER_OFF))
+    desk.primary.deliver(slow(mode=RobotMode.POWER_OFF))
     assert run.phase is Phase.RUNNING  # a user's program might only be paused
     run.stops()
     assert isinstance(run.error, NotRunning)
@@ -339,7 +344,7 @@ def test_exception_is_assigned_to_the_right_program(desk: Programming, caplog: p
     assert isinstance(another.error, ScriptFailed)
     assert running.phase is Phase.RUNNING
     running.says("finished")
-    desk.primary.tell(RuntimeExceptionMessage(FIRMWARE, line=1, column=1, text="another"))
+    desk.primary.deliver(RuntimeExceptionMessage(FIRMWARE, line=1, column=1, text="another"))
     running.stops()
     assert isinstance(running.error, ScriptFailed)
 
@@ -384,49 +389,49 @@ def test_motion_ends_when_interlock_closes(desk: Programming, has_begun: bool) -
         if has_begun:
             motion.begins()
         script = desk.script(SEC)
-        desk.primary.tell(packet)
+        desk.primary.deliver(packet)
         error = motion.error
         assert script.phase is Phase.SENT
         if isinstance(error, NotRunning):
-            later = "it may still move the arm" if has_begun else "it moves nothing if it begins later"
+            later = "it might still move the arm" if has_begun else "it moves nothing if it begins later"
             assert str(error) == f"the robot is not running: its mode is POWER_OFF; {later}"
             stop = error
         else:
             assert isinstance(error, SafetyStop)
-        desk.primary.tell(slow())
+        desk.primary.deliver(slow())
     assert stop is not None
 
 
 # -- current programs and stops --------------------------------------------------------------------------
 
 
-def test_current_and_permitted_programs(desk: Programming) -> None:
+def test_programs_lists_current_and_permitted_programs(desk: Programming) -> None:
     current = [desk.programs.current]
     motion = desk.motion()
     current.append(desk.programs.current)
     assert desk.programs.permitted == []
     motion.begins()
     free = desk.motion(asks=False)
-    assert desk.programs.permitted == [motion._life, free._life]
+    assert desk.programs.permitted == [motion.life, free.life]
     for source in (SEC, "movej(q)"):
         desk.script(source)
         current.append(desk.programs.current)
     # The last program is the user's own, which was sent after the motions.
-    assert current == [None, motion._life, free._life, None]
+    assert current == [None, motion.life, free.life, None]
 
 
-def test_linked_program_is_permitted_after_it_began(desk: Programming) -> None:
+def test_linked_program_gets_permission_only_after_it_has_begun(desk: Programming) -> None:
     """Otherwise a speed that is sent after it would move the arm even if the program never connects."""
     linked = desk.motion(asks=False, is_linked=True)
     assert desk.programs.permitted == []
     linked.begins()
-    assert desk.programs.permitted == [linked._life]
+    assert desk.programs.permitted == [linked.life]
 
 
 def test_ended_motion_is_not_current_while_braking(desk: Programming) -> None:
     run = desk.motion(asks=False)
     seen: list[object] = []
-    run._life.brake = lambda: seen.extend([desk.programs.current, desk.programs.permitted])
+    run.life.brake = lambda: seen.extend([desk.programs.current, desk.programs.permitted])
     run.cancel()
     assert seen == [None, []]
 
@@ -438,7 +443,7 @@ def test_only_the_newest_program_is_stopped(desk: Programming) -> None:
     assert desk.stops == 0  # the program sent after it stops it anyway
     two.cancel()
     assert desk.stops == 1
-    desk.programs.stop(two._life)
+    desk.programs.stop(two.life)
     assert desk.stops == 1
     desk.interlock.policy = "on_startup"
     three = desk.motion(asks=False, is_stop=True)
@@ -449,12 +454,12 @@ def test_only_the_newest_program_is_stopped(desk: Programming) -> None:
 def test_refused_stop_raises_safety_stop(desk: Programming) -> None:
     script = desk.script()
     script.begins()
-    desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
+    desk.primary.deliver(slow(SafetyMode.PROTECTIVE_STOP))
     with pytest.raises(SafetyStop, match="protective stop"):
-        desk.programs.stop(script._life)
+        desk.programs.stop(script.life)
 
 
-def test_ended_is_time_of_last_end(desk: Programming) -> None:
+def test_ended_returns_the_time_at_which_the_last_program_ended(desk: Programming) -> None:
     """A state received before that time might still show the movement."""
     run = desk.motion()
     run.begins()
@@ -482,23 +487,21 @@ def test_replacing_program_drops_pending_undos(
     def undo(client: object, is_wanted: Callable[[], bool]) -> None:
         raise ConnectionLost("it is away")
 
-    undos = desk.channel._undos
-    give_up(undos, "play", undo)
+    give_up(desk.undos, "play", undo)
     begin(desk)
-    assert undos.pending == pending
-    undos.close()
+    assert desk.undos.pending == pending
+    desk.undos.close()
 
 
-def test_motion_sent_while_stop_waits_is_not_stopped(desk: Programming, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stop_that_had_to_wait_does_not_stop_a_newer_motion(desk: Programming) -> None:
     one, others = desk.motion(), list[Any]()
-    prepare = desk.channel._prepare
 
-    def prepare_beside(moves: bool) -> None:
-        prepare(moves)
-        monkeypatch.setattr(desk.channel, "_prepare", prepare)
+    def beside() -> None:
+        desk.meanwhile = lambda: None
+        desk.primary.room = None
         others.append(desk.motion())  # as another thread would do
 
-    monkeypatch.setattr(desk.channel, "_prepare", prepare_beside)
+    desk.meanwhile, desk.primary.room = beside, 0
     one.cancel()
     assert len(others) == 1
     assert desk.stops == 0
@@ -511,14 +514,13 @@ def test_motion_sent_while_stop_waits_is_not_stopped(desk: Programming, monkeypa
 
 def test_silence_discards_recently_sent_text(desk: Programming) -> None:
     """The network may have failed up to half a second before the silence began."""
-    desk.programs._listen()
     for before, aborts in ((1.6, 0), (1.4, 1)):
         desk.motion()
         desk.clock.now += before
         for _, hook in desk.primary.watches:
             hook(1.0)
         assert desk.primary.aborts == aborts
-        desk.primary.tell(slow())
+        desk.primary.deliver(slow())
 
 
 def test_lost_connection_ends_programs_sent_before(desk: Programming) -> None:
@@ -534,13 +536,13 @@ def test_lost_connection_ends_programs_sent_before(desk: Programming) -> None:
     desk.programs.on_event(event._replace(received=Stamp(desk.clock.now, desk.clock.now)))
     lost = "the connection was lost while {} was running; {}: pulled"
     assert script.end == "ConnectionLost: " + lost.format(script.name, "it moves nothing if it begins later")
-    later = "if it begins later, it may still move the arm"
+    later = "if it begins later, it might still move the arm"
     assert motion.end == "NotRunning: " + lost.format(motion.name, later)
     another = desk.script()
     another.begins()
     desk.clock.now += 0.1
     desk.programs.on_event(event._replace(received=Stamp(desk.clock.now, desk.clock.now), error=None))
-    assert another.end.endswith("was running; it may still run")
+    assert another.end.endswith("was running; it might still run")
 
 
 @pytest.mark.parametrize(("state", "is_left"), [(s, s.name in ("IDLE", "CLOSED")) for s in ConnectionState])
@@ -580,7 +582,7 @@ def test_close_stops_the_program_unless_it_is_detached(desk: Programming, is_mot
     run.begins()
     desk.programs.close(0.0)
     assert desk.stops == (not is_detached)
-    closed = f"ConnectionLost: the robot was closed while {run.name} was running; it may still "
+    closed = f"ConnectionLost: the robot was closed while {run.name} was running; it might still "
     cancelled = f"Cancelled: {run.name} was cancelled, since the robot was closed"
     assert run.end.startswith(closed if is_detached else cancelled)
     assert beside.end.startswith(f"ConnectionLost: the robot was closed while {beside.name} was running")
@@ -606,9 +608,13 @@ def test_close_rejects_motions_while_it_cancels_others(desk: Programming) -> Non
         except LinkError as error:
             failures.append(error)
 
-    run._life.on_end(begin)
+    run.life.on_end(begin)
     before = len(desk.sent)
     desk.programs.close(0.0)
     assert [type(error) for error in failures] == [Closed]
     assert not [text for text in desk.sent[before:] if "stopj" not in text]
-    assert desk.programs._runs == {}
+    ended = weakref.ref(run.life)
+    failures.clear()
+    del run
+    gc.collect()
+    assert ended() is None

@@ -19,8 +19,6 @@ from linkcore.wire.packet import State
 from tests.fakes.line import FIRMWARE, Desk, Subscriber, fast, slow
 from tests.fakes.packets import packet
 from urlink.command.interlock import Interlock
-from urlink.command.safety_monitor import SafetyMonitor
-from urlink.command.section import Section
 from urlink.errors import NotRunning, SafetyStop
 from urlink.protocol.enums import RobotMode, SafetyMode
 from urlink.protocol.primary.robot_message import SafetyModeMessage
@@ -63,19 +61,19 @@ def test_listen_subscribes_once_per_interface(desk: Monitored) -> None:
         desk.listen()
         assert desk.listeners == [2, 1, 2, 1]
     desk.clear()
-    desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
+    desk.primary.deliver(slow(SafetyMode.PROTECTIVE_STOP))
     assert [str(error) for error in desk.closings] == ["the robot is stopped: protective stop"]
     assert desk.stops == desk.closings
-    desk.primary.tell(slow())
+    desk.primary.deliver(slow())
     desk.forget()
     desk.forget()
-    desk.realtime.tell(fast(SafetyMode.FAULT))
+    desk.realtime.deliver(fast(SafetyMode.FAULT))
     assert (len(desk.closings), len(desk.stops)) == (2, 1)
 
 
 def test_interface_without_report_refuses_motions(desk: Monitored) -> None:
     desk.monitor.listen()
-    desk.primary.tell(slow())
+    desk.primary.deliver(slow())
     assert desk.monitor.refusal_to_begin() is None
     desk.listen()
     assert "nothing was received on the realtime interface yet" in str(desk.monitor.refusal_to_begin())
@@ -116,13 +114,13 @@ def test_report_received_before_subscribing_counts(desk: Monitored) -> None:
 def test_connection_that_is_already_down_counts_as_lost(desk: Monitored) -> None:
     desk.realtime.state = ConnectionState.CONNECTING
     desk.monitor.listen()
-    desk.primary.tell(slow())
+    desk.primary.deliver(slow())
     was_connected = desk.monitor.is_connected
     desk.listen()
     assert (was_connected, desk.monitor.is_connected) == (True, False)
     assert "is unknown: not connected" in str(desk.monitor.refusal_to_begin())
     desk.realtime.state = ConnectionState.CONNECTED
-    desk.realtime.tell(fast())
+    desk.realtime.deliver(fast())
     assert desk.monitor.refusal_to_begin() is None
 
 
@@ -138,7 +136,7 @@ def test_failed_subscription_leaves_no_subscribers(desk: Monitored, fails_at: in
 
     desk.realtime.subscribe_inline = refuse  # type: ignore[method-assign]
     desk.monitor.listen()
-    desk.primary.tell(slow())
+    desk.primary.deliver(slow())
     with pytest.raises(ConnectFailed):
         desk.listen()
     assert desk.listeners == [2, 1, 0, 0]
@@ -177,26 +175,26 @@ def test_lost_connection_refuses_motions_until_next_report(desk: Monitored) -> N
 @pytest.mark.parametrize("state", [ConnectionState.IDLE, ConnectionState.CLOSED])
 def test_monitor_subscribes_again_after_connection_gave_up(desk: Monitored, state: ConnectionState) -> None:
     desk.clear()
-    (told,) = [each.callback for each in desk.primary.subscribers if each.kind is ConnectionEvent]
+    (callback,) = [each.callback for each in desk.primary.subscribers if each.kind is ConnectionEvent]
     desk.event(desk.primary, state)
     assert desk.listeners == [0, 0, 2, 1]
     assert isinstance(desk.closings[0], NotRunning)
     desk.clear()
     assert desk.listeners == [2, 1, 2, 1]
-    told(ConnectionEvent(ConnectionState.LOST, "line", None, Stamp(desk.clock.now, desk.clock.now)))
+    callback(ConnectionEvent(ConnectionState.LOST, "line", None, Stamp(desk.clock.now, desk.clock.now)))
     assert desk.monitor.refusal_to_begin() is None  # an event of the previous subscription is ignored
 
 
-def test_partial_reports_of_primary_interface(desk: Monitored) -> None:
+def test_state_without_robot_mode_does_not_clear_a_violation(desk: Monitored) -> None:
     desk.clear()
-    desk.primary.tell(SafetyModeMessage(FIRMWARE, safety_mode=SafetyMode.VIOLATION))
+    desk.primary.deliver(SafetyModeMessage(FIRMWARE, safety_mode=SafetyMode.VIOLATION))
     assert "violation" in str(desk.monitor.refusal_to_begin())
-    desk.primary.tell(RobotState(packet(MasterboardData, FIRMWARE, safety_mode=SafetyMode.NORMAL)))
+    desk.primary.deliver(RobotState(packet(MasterboardData, FIRMWARE, safety_mode=SafetyMode.NORMAL)))
     assert "violation" in str(desk.monitor.refusal_to_begin())  # a state without robot mode is ignored
-    desk.primary.tell(slow())
+    desk.primary.deliver(slow())
     assert desk.monitor.refusal_to_begin() is None
     for fields in ({"is_emergency_stopped": True}, {"is_protective_stopped": True}):
-        desk.primary.tell(RobotState(packet(RobotModeData, FIRMWARE, robot_mode=RobotMode.RUNNING, **fields)))
+        desk.primary.deliver(RobotState(packet(RobotModeData, FIRMWARE, robot_mode=RobotMode.RUNNING, **fields)))
         assert isinstance(desk.monitor.refusal_to_begin(), SafetyStop)
 
 
@@ -209,8 +207,8 @@ def test_age_of_report_counts_from_reception_of_its_bytes(desk: Monitored) -> No
 
     for age in (STALE_AFTER - 0.1, STALE_AFTER + 0.1):
         desk.clock.now += 10.0
-        desk.primary.tell(slow())
-        desk.realtime.tell(stamped(fast(), desk.clock.now - age))
+        desk.primary.deliver(slow())
+        desk.realtime.deliver(stamped(fast(), desk.clock.now - age))
         refusal = desk.monitor.refusal_to_begin()
         assert (refusal is not None) == (age > STALE_AFTER)
     assert "nothing was read from the realtime interface for 1.1 s" in str(refusal)
@@ -245,18 +243,20 @@ def test_close_drops_references_to_hooks(desk: Monitored) -> None:
 @pytest.mark.parametrize(
     "ask",
     [
-        SafetyMonitor.require,
-        SafetyMonitor.require_running,
-        lambda monitor: monitor._interlock.enable(monitor.clock()),
+        lambda desk: desk.monitor.require(),
+        lambda desk: desk.monitor.require_running(),
+        lambda desk: desk.interlock.enable(desk.clock()),
     ],
 )
-def test_refusal_is_freed_after_being_caught(desk: Monitored, ask: Callable[[SafetyMonitor], None]) -> None:
+def test_refusal_leaves_no_reference_cycle_after_being_caught(
+    desk: Monitored, ask: Callable[[Monitored], None]
+) -> None:
     """The traceback contains the frame that raised the error, so that frame must not refer to the error."""
     caught: list[weakref.ref[LinkError]] = []
     gc.disable()
     try:
         try:
-            ask(desk.monitor)
+            ask(desk)
         except NotRunning as error:
             caught.append(weakref.ref(error))
         assert [each() for each in caught] == [None]
@@ -287,7 +287,7 @@ def test_wait_for_wakes_at_every_change() -> None:
             interlock.policy = "always"
 
     changes: list[Callable[[], object]] = [
-        lambda: desk.primary.tell(slow()),
+        lambda: desk.primary.deliver(slow()),
         lambda: desk.realtime.be_silent(),
         lambda: desk.event(desk.primary, ConnectionState.LOST),
         change_policy,
@@ -305,7 +305,7 @@ def test_wait_for_wakes_at_every_change() -> None:
         assert desk.monitor.wait_for(look, 3600.0)
 
 
-def test_timeouts_of_first_and_next_report() -> None:
+def test_monitor_waits_longer_for_first_than_for_next_report() -> None:
     """Two seconds for a first report; if something blocks motion, half a second for every source's next report."""
     desk = Desk(may_wait=True)
     asked: list[tuple[Callable[[Interlock], object], float]] = []
@@ -319,28 +319,31 @@ def test_timeouts_of_first_and_next_report() -> None:
     (has_reported, seconds), (also, _) = asked
     assert seconds == 2.0
     assert not has_reported(desk.interlock)
-    desk.primary.tell(slow())
+    desk.primary.deliver(slow())
     assert has_reported(desk.interlock)
     assert not also(desk.interlock)
-    desk.realtime.tell(fast())
+    desk.realtime.deliver(fast())
     for moves in (True, False):
         asked.clear()
         desk.monitor.await_news(moves=moves)
         ((is_settled, seconds),) = asked
         assert seconds == 0.5
         assert is_settled(desk.interlock)
-        desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
+        desk.primary.deliver(slow(SafetyMode.PROTECTIVE_STOP))
         # The stop blocks only motions, until both interfaces have reported again.
         assert bool(is_settled(desk.interlock)) is not moves
         desk.clock.now += 0.1
-        desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
+        desk.primary.deliver(slow(SafetyMode.PROTECTIVE_STOP))
         assert bool(is_settled(desk.interlock)) is not moves
-        desk.realtime.tell(fast())
+        desk.realtime.deliver(fast())
         assert is_settled(desk.interlock)
-        desk.primary.tell(slow())
+        desk.primary.deliver(slow())
     asked.clear()
-    desk.monitor._section = Section(lambda: True)
-    desk.monitor.await_news(moves=True)
+    reading = Desk()
+    reading.clear()
+    reading.primary.deliver(slow(SafetyMode.PROTECTIVE_STOP))
+    reading.monitor.wait_for = wait_for  # type: ignore[method-assign]
+    reading.monitor.await_news(moves=True)
     assert asked == []  # the reader thread does not wait, because it would have to receive the report
 
 
@@ -352,7 +355,7 @@ def test_reader_thread_reads_pending_data_before_refusing(desk: Monitored) -> No
         line.look = partial(looks.append, name)  # type: ignore[method-assign]
     desk.monitor.await_news(moves=True)
     assert looks == []
-    desk.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
+    desk.primary.deliver(slow(SafetyMode.PROTECTIVE_STOP))
     desk.monitor.await_news(moves=False)
     assert looks == []
     desk.monitor.await_news(moves=True)

@@ -26,8 +26,8 @@ def stop(desk: Programming) -> None:
 
 
 def safety_stop(desk: Programming) -> None:
-    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
-    desk.realtime.tell(fast())
+    desk.realtime.deliver(fast(SafetyMode.PROTECTIVE_STOP))
+    desk.realtime.deliver(fast())
 
 
 def change_of_policy(desk: Programming) -> None:
@@ -81,9 +81,9 @@ def test_stop_is_sent_even_after_a_later_stop(desk: Programming) -> None:
     assert len(desk.sent) == 1
 
 
-def test_active_stop_is_reported_rather_than_overtaking(desk: Programming) -> None:
+def test_call_during_an_active_stop_raises_safety_stop(desk: Programming) -> None:
     call = PendingCall()
-    desk.realtime.tell(fast(SafetyMode.PROTECTIVE_STOP))
+    desk.realtime.deliver(fast(SafetyMode.PROTECTIVE_STOP))
     with pytest.raises(SafetyStop, match="protective stop"):
         started(desk, call)
 
@@ -111,9 +111,9 @@ def test_cancel_of_one_motion_does_not_affect_another(desk: Programming) -> None
     assert second.phase is Phase.SENT
 
 
-def test_call_is_not_overtaken_by_an_earlier_stop(desk: Programming) -> None:
-    desk.primary.tell(slow(SafetyMode.SAFEGUARD_STOP))
+def test_call_is_sent_when_the_last_stop_was_before_it(desk: Programming) -> None:
+    desk.primary.deliver(slow(SafetyMode.SAFEGUARD_STOP))
     call = PendingCall()
-    desk.primary.tell(slow())
+    desk.primary.deliver(slow())
     started(desk, call)
     assert len(desk.sent) == 1

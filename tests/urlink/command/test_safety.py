@@ -15,7 +15,7 @@ from linkcore.streaming.connection_life import Backoff, ConnectionState
 from tests.fakes.controller import ScriptedController
 from tests.fakes.link import ScriptedTransport
 from tests.fakes.packets import packet
-from tests.waiting import until
+from tests.waiting import threads_named, until
 from urlink.command import safety_monitor as monitor
 from urlink.errors import NotEnabled, NotRunning, SafetyStop
 from urlink.protocol.enums import MasterSafetyState, RobotMode, RobotModeCB2, SafetyMode
@@ -70,10 +70,9 @@ def test_two_threads_can_wait_for_first_report(robot: ScriptedController) -> Non
             failures.append(error)
 
     threads = [threading.Thread(target=command) for _ in range(2)]
-    threads[0].start()
-    until(lambda: len(robot.monitor._waiting) == 1)
-    threads[1].start()
-    until(lambda: len(robot.monitor._waiting) == 2 or failures)
+    for thread in threads:
+        thread.start()
+        time.sleep(0.1)  # simulated time passes only when all threads wait
     robot.state(fast=False)
     for thread in threads:
         thread.join(10)
@@ -81,13 +80,12 @@ def test_two_threads_can_wait_for_first_report(robot: ScriptedController) -> Non
     assert robot.sent == ["set_tool_voltage(0)\n"] * 2
 
 
-def test_second_query_waits_for_first_report_too(robot: ScriptedController) -> None:
+def test_second_query_also_waits_for_first_report(robot: ScriptedController) -> None:
     modes: list[SafetyMode | None] = []
     threads = [threading.Thread(target=lambda: modes.append(robot.safety.mode)) for _ in range(2)]
-    threads[0].start()
-    until(lambda: len(robot.monitor._waiting) == 1)
-    threads[1].start()
-    until(lambda: len(robot.monitor._waiting) == 2 or modes)
+    for thread in threads:
+        thread.start()
+        time.sleep(0.1)  # simulated time passes only when all threads wait
     robot.state(fast=False)
     for thread in threads:
         thread.join(10)
@@ -222,7 +220,7 @@ def test_callback_that_exits_does_not_end_the_thread(
     assert caplog.text.count("SystemExit: on purpose") == 2
 
 
-def test_stop_callback_can_command_and_wait(robot: ScriptedController) -> None:
+def test_stop_callback_can_send_commands_and_wait(robot: ScriptedController) -> None:
     robot.clear()
     done = threading.Event()
 
@@ -332,16 +330,15 @@ def test_command_without_any_report_raises_not_running(
     assert robot.safety.robot_mode is None
 
 
-def test_unreachable_realtime_interface_refuses_only_motions(robot: ScriptedController) -> None:
-    robot.fast = ScriptedTransport(ConnectFailed("refused"))
-    robot.realtime._connection._transport = robot.fast
-    robot.state()
-    with pytest.raises(ConnectFailed, match="refused"):
-        robot.channel.motion("movej(q)")
-    robot.state()
-    robot.channel.command("set_tool_voltage(0)")  # the primary interface is sufficient for this command
-    robot.state()
-    robot.channel.motion("movej(q)")  # the interface is reachable now
+def test_unreachable_realtime_interface_refuses_only_motions() -> None:
+    with ScriptedController(fast=ScriptedTransport(ConnectFailed("refused"))) as robot:
+        robot.state()
+        with pytest.raises(ConnectFailed, match="refused"):
+            robot.channel.motion("movej(q)")
+        robot.state()
+        robot.channel.command("set_tool_voltage(0)")  # the primary interface is sufficient for this command
+        robot.state()
+        robot.channel.motion("movej(q)")  # the interface is reachable now
 
 
 def test_policy_always_requires_enable_after_each_stop() -> None:
@@ -440,7 +437,7 @@ def test_cb2_modes_permit_or_refuse_motion() -> None:
     assert robot.sent == ["movej(q)\n"]
 
 
-def test_stop_is_reported_after_current_send(robot: ScriptedController) -> None:
+def test_stop_is_reported_after_the_set_point_being_sent(robot: ScriptedController) -> None:
     """Check and send are one step: a permitted set-point has been sent before the stop is reported."""
     robot.clear()
     order: list[str] = []
@@ -490,7 +487,7 @@ def test_script_runs_after_stream_gave_up() -> None:
         robot.slow.put(ConnectionLost("pulled"))
         with pytest.raises(ConnectionLost):
             program.wait(5)
-        until(lambda: "primary" not in robot.monitor._listening and robot.programs._subscriptions.made is None)
+        until(lambda: threads_named(f"{robot.primary.name} reader") == [])
         robot.clear()
         again = robot.script.run("movej(q)")
         robot.begins(again)
@@ -540,7 +537,7 @@ def test_state_without_safety_part_keeps_stop(robot: ScriptedController) -> None
 # -- inline callbacks ------------------------------------------------------------------------------------
 
 
-def test_inline_callback_cannot_wait(robot: ScriptedController) -> None:
+def test_wait_in_an_inline_callback_raises(robot: ScriptedController) -> None:
     robot.clear()
     raised: list[LinkError] = []
 
@@ -558,7 +555,7 @@ def test_inline_callback_cannot_wait(robot: ScriptedController) -> None:
     assert "inline=True" in str(raised[0])
 
 
-def test_inline_callback_can_command(robot: ScriptedController) -> None:
+def test_inline_callback_can_send_a_command(robot: ScriptedController) -> None:
     robot.clear()
 
     def command(state: object) -> None:
@@ -633,7 +630,9 @@ def test_rest_of_text_is_not_sent_after_stop(robot: ScriptedController) -> None:
     until(lambda: robot.slow.opened == 2)  # the controller cannot take later texts for the rest
 
 
-def test_unread_text_times_out(robot: ScriptedController, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_text_that_the_controller_does_not_read_times_out(
+    robot: ScriptedController, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("urlink.command.channel.SEND_TIMEOUT", 0.05)
     robot.clear()
     for room, opened in ((0, 1), (3, 2)):
@@ -644,7 +643,7 @@ def test_unread_text_times_out(robot: ScriptedController, monkeypatch: pytest.Mo
         robot.clear()
 
 
-def test_text_does_not_continue_on_next_connection(robot: ScriptedController) -> None:
+def test_partly_sent_text_is_not_continued_on_next_connection(robot: ScriptedController) -> None:
     robot.clear()
     robot.slow.make_room(3)
     sender, raised = send(robot, "movej(q)")
@@ -666,13 +665,13 @@ def in_the_section(robot: ScriptedController, handler: Callable[[], object]) -> 
     robot.channel.setpoint(handler)
 
 
-def test_signal_handler_can_command_inside_section(robot: ScriptedController) -> None:
+def test_signal_handler_can_send_a_stop_while_the_lock_is_held(robot: ScriptedController) -> None:
     robot.clear()
     in_the_section(robot, lambda: robot.channel.motion("stopj(2)", is_stop=True))
     assert robot.sent == ["stopj(2)\n"]
 
 
-def test_signal_handler_can_wait_inside_section(robot: ScriptedController) -> None:
+def test_signal_handler_can_wait_while_the_lock_is_held(robot: ScriptedController) -> None:
     """The awaited stop is received by a thread that needs the section."""
     robot.clear()
 

@@ -70,7 +70,7 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
     # -- the model -----------------------------------------------------------------------------------
 
     @property
-    def told(self) -> str | None:
+    def closing_cause(self) -> str | None:
         """Cause that closes the interlock: a stop, silence, a lost connection, or a robot that is not running."""
         if any(said is not None and said[1] not in SAFE for said in self.said.values()):
             return "stop"
@@ -81,7 +81,9 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
 
     @property
     def blocked(self) -> str | None:
-        return self.told or ("stale" if any(self.clock.now - at > STALE_AFTER for at in self.heard.values()) else None)
+        return self.closing_cause or (
+            "stale" if any(self.clock.now - at > STALE_AFTER for at in self.heard.values()) else None
+        )
 
     @property
     def is_open(self) -> bool:
@@ -108,12 +110,12 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
 
     def event(self, tell: Callable[[], object], change: Callable[[], object]) -> None:
         """Apply an event to the robot and to the model."""
-        was_clear, count = self.told is None, len(self.closings)
+        was_clear, count = self.closing_cause is None, len(self.closings)
         change()
-        if self.told is not None:
+        if self.closing_cause is not None:
             self.armed = False
         tell()
-        assert len(self.closings) == count + (was_clear and self.told is not None)
+        assert len(self.closings) == count + (was_clear and self.closing_cause is not None)
 
     # -- events --------------------------------------------------------------------------------------
 
@@ -122,7 +124,7 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
         self.tick()
         modes = packet(RobotModeData, FIRMWARE, robot_mode=mode)
         state = RobotState(modes, packet(MasterboardData, FIRMWARE, safety_mode=safety))
-        self.event(lambda: self.lines["primary"].tell(state), lambda: self.say("primary", (mode, safety)))
+        self.event(lambda: self.lines["primary"].deliver(state), lambda: self.report("primary", (mode, safety)))
 
     @rule(mode=robot_modes)
     def primary_without_its_board(self, mode: RobotMode) -> None:
@@ -131,13 +133,13 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
         said = self.said["primary"]
         state = RobotState(packet(RobotModeData, FIRMWARE, robot_mode=mode))
         safety = SafetyMode.NORMAL if said is None else said[1]
-        self.event(lambda: self.lines["primary"].tell(state), lambda: self.say("primary", (mode, safety)))
+        self.event(lambda: self.lines["primary"].deliver(state), lambda: self.report("primary", (mode, safety)))
 
     @rule(mode=robot_modes, safety=safety_modes)
     def realtime(self, mode: RobotMode, safety: SafetyMode) -> None:
         self.tick()
         state = packet(RealtimeState, FIRMWARE, robot_mode=mode, safety_mode=safety)
-        self.event(lambda: self.lines["realtime"].tell(state), lambda: self.say("realtime", (mode, safety)))
+        self.event(lambda: self.lines["realtime"].deliver(state), lambda: self.report("realtime", (mode, safety)))
 
     @rule()
     def all_is_clear(self) -> None:
@@ -156,8 +158,8 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
         said = self.said["primary"]
         message = SafetyModeMessage(FIRMWARE, safety_mode=safety)
         self.event(
-            lambda: self.lines["primary"].tell(message),
-            lambda: self.say("primary", (said[0], safety)) if said is not None else None,
+            lambda: self.lines["primary"].deliver(message),
+            lambda: self.report("primary", (said[0], safety)) if said is not None else None,
         )
 
     @rule(source=sources)
@@ -170,7 +172,7 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
         def change() -> None:
             self.said[source], self.is_silent[source] = None, False
 
-        self.event(lambda: self.lines[source].tell(event), change)
+        self.event(lambda: self.lines[source].deliver(event), change)
 
     @rule(source=sources)
     def silence(self, source: str) -> None:
@@ -247,7 +249,7 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
 
     @invariant()
     def no_motion_continues_under_a_stop(self) -> None:
-        if hasattr(self, "safety") and self.told is not None:
+        if hasattr(self, "safety") and self.closing_cause is not None:
             assert self.motions == 0
 
     @invariant()
@@ -260,7 +262,7 @@ class InterlockBeforeTheChannel(RuleBasedStateMachine):
     def tick(self) -> None:
         self.clock.now += 0.01
 
-    def say(self, source: str, said: tuple[RobotMode, SafetyMode]) -> None:
+    def report(self, source: str, said: tuple[RobotMode, SafetyMode]) -> None:
         self.said[source] = said
         self.heard[source] = self.clock.now
         self.is_silent[source] = False

@@ -43,7 +43,7 @@ def test_waiting_works_without_holding_the_lock() -> None:
     assert is_free(section)
 
 
-def test_reader_thread_cannot_wait() -> None:
+def test_wait_in_the_reader_thread_raises_local_error() -> None:
     section = Section(lambda: False, lambda: True)
     assert not section.may_wait
     with section.lock, pytest.raises(LocalError, match="inline=True"), section.waiting():

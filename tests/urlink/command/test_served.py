@@ -93,7 +93,7 @@ def test_secondary_program_runs_during_main_program(robot: urlink.Robot) -> None
         long.wait(0)
 
 
-def test_payload_tcp_and_popup_reach_controller(robot: urlink.Robot) -> None:
+def test_payload_tcp_and_popup_are_set_on_the_controller(robot: urlink.Robot) -> None:
     messages: list[urlink.packets.PopupMessage] = []
     robot.primary.subscribe(messages.append, urlink.packets.PopupMessage)
     robot.set_payload(1.5, (0, 0, 0.1))
@@ -121,7 +121,7 @@ def test_every_setting_is_confirmed(address: str) -> None:
 
 
 @pytest.mark.slow
-def test_not_confirmed_names_local_control(robot: urlink.Robot) -> None:
+def test_not_confirmed_error_names_local_control(robot: urlink.Robot) -> None:
     robot.io.set_digital_out(0, True)
     robot.controller.remote_control = False
     acts: list[Callable[[], object]] = [
@@ -159,7 +159,7 @@ def test_commands_work_after_lost_connection(robot: urlink.Robot) -> None:
     program = robot.script.run('textmsg("continues")\n' + LONG)
     until(lambda: program.texts == ("continues",))  # the program has got its permission
     controller.faults.cut("primary")
-    with pytest.raises(urlink.ConnectionLost, match="may still run"):
+    with pytest.raises(urlink.ConnectionLost, match="might still run"):
         program.wait(20)
     robot.safety.wait_enabled(20)
     robot.script.run("sleep(0.02)", wait=20.0)

@@ -81,10 +81,15 @@ def test_each_setting_writes_its_mask_and_value(robot: ScriptedController, input
         lambda: robot.io.set_analog_out(1, 0.5, confirm=0.01),
         lambda: robot.settings.speed_slider(0.25, 0.01),
     ]
-    for act in acts:
+    for number, act in enumerate(acts, 1):
         with pytest.raises(NotConfirmed):
             act()
-        robot.settings._channel._refused.clear()  # after an unconfirmed setting, later ones would be sent as text
+        # After an unconfirmed setting, later ones on the same connection would be sent as text.
+        robot.slow.put(ConnectionLost("cut"))
+        until(lambda number=number: robot.slow.opened == number + 1)  # type: ignore[misc]
+        robot.clear()
+        robot.state(board={"analog_output_domain_1": 1})
+        time.sleep(0.1)  # simulated time passes only when the states were read
     assert inputs.written == [
         {"standard_digital_output_mask": 8, "standard_digital_output": 8},
         {"configurable_digital_output_mask": 128, "configurable_digital_output": 0},
@@ -114,7 +119,7 @@ def test_setting_without_confirm_claims_nothing(robot: ScriptedController, input
     assert len(robot.sent) == 1
 
 
-def test_package_does_not_overtake_text(
+def test_rtde_package_does_not_overtake_a_script(
     robot: ScriptedController, inputs: Inputs, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(settings, "_SETTLED", 60.0)
@@ -124,7 +129,9 @@ def test_package_does_not_overtake_text(
 
 
 @pytest.mark.parametrize("error", [ConnectFailed("refused"), urlink.LinkTimeout("no answer")], ids=str)
-def test_missing_rtde_is_tried_once_per_connection(robot: ScriptedController, inputs: Inputs, error: LinkError) -> None:
+def test_rtde_is_tried_once_per_connection_if_it_is_missing(
+    robot: ScriptedController, inputs: Inputs, error: LinkError
+) -> None:
     inputs.error = error
     acts: list[Callable[[], object]] = [
         lambda: robot.io.set_digital_out(0, True, confirm=0.01),
@@ -144,7 +151,7 @@ def test_missing_rtde_is_tried_once_per_connection(robot: ScriptedController, in
     assert (len(inputs.written), len(robot.sent)) == (1, 3)
 
 
-def test_input_in_use_is_refused_separately(robot: ScriptedController, inputs: Inputs) -> None:
+def test_input_in_use_does_not_block_other_inputs(robot: ScriptedController, inputs: Inputs) -> None:
     inputs.held = {"speed_slider_mask"}
     with pytest.raises(NotConfirmed):
         robot.settings.speed_slider(0.5, 0.01)
@@ -191,7 +198,7 @@ class Desk:
         self.settings.send("text", lambda: values)
 
 
-def test_rtde_is_used_half_a_second_after_text() -> None:
+def test_setting_uses_rtde_again_half_a_second_after_a_script() -> None:
     desk = Desk()
     desk.inputs.held = {"a"}
     desk.send({"a": 1})
@@ -202,7 +209,7 @@ def test_rtde_is_used_half_a_second_after_text() -> None:
     assert len(desk.sent) == 3
 
 
-def test_setting_without_inputs_is_sent_as_text() -> None:
+def test_setting_without_rtde_inputs_is_sent_as_script() -> None:
     """For example, whether an analogue output is a voltage or a current is unknown before the robot reports it."""
     desk = Desk()
     desk.send(None)
@@ -212,7 +219,7 @@ def test_setting_without_inputs_is_sent_as_text() -> None:
     assert (desk.inputs.written, desk.sent) == ([{"a": 1}], ["text"])
 
 
-def test_refusal_lasts_until_reconnection(caplog: pytest.LogCaptureFixture) -> None:
+def test_refused_input_is_not_requested_again_until_reconnection(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     desk = Desk()
     desk.inputs.held = {"a"}
@@ -271,6 +278,13 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("patient")
 def test_settings_use_rtde_and_release_claims(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
     controller.received.clear()
+    connections: list[Connection] = []
+
+    def noting(connection: Connection, *arguments: Any) -> claims.Claims:
+        connections.append(connection)
+        return claims.Claims(connection, *arguments)
+
+    monkeypatch.setattr(client, "Claims", noting)
     with connect(controller) as robot, connect(controller) as other:
         for on in (True, False):
             set_all(robot, on)
@@ -283,8 +297,8 @@ def test_settings_use_rtde_and_release_claims(controller: Controller, monkeypatc
             inputs.send(standard_digital_output={3: False})
             until(lambda: not robot.io.digital_out(3))
         robot.io.set_digital_out(3, True)
-        robot.rtde._brief._standing._connection.abort()  # type: ignore[union-attr]
-        until(lambda: robot.rtde._brief._standing._connection.failure is not None)  # type: ignore[union-attr]
+        connections[-1].abort()
+        until(lambda: connections[-1].failure is not None)
         robot.io.set_digital_out(3, False)
     assert texts(controller) == []
 

@@ -125,7 +125,7 @@ def robot() -> Iterator[ScriptedController]:
 
 
 def show(robot: ScriptedController, what: dict[str, Any]) -> None:
-    """Send a state on each interface that shows the values of `what`."""
+    """On each interface, send a state that shows the values of `what`."""
     axes = ("X", "Y", "Z", "Rx", "Ry", "Rz")
     offset = {f"tcp_offset_{axis}": value for axis, value in zip(axes, what.get("tcp", [0] * 6), strict=True)}
     packages = [
@@ -182,15 +182,15 @@ def test_setting_waits_until_states_show_it(robot: ScriptedController, name: str
 
 
 @pytest.mark.parametrize("name", SHOWN)
-def test_not_confirmed_names_shown_value(robot: ScriptedController, name: str) -> None:
+def test_not_confirmed_error_names_the_reported_value(robot: ScriptedController, name: str) -> None:
     act, _, wrong = SHOWN[name]
     setting = Setting(robot, act, 0.3)
 
-    def tell() -> bool:
+    def is_refused() -> bool:
         show(robot, wrong)
         return setting.is_over
 
-    until(tell)
+    until(is_refused)
     assert isinstance(setting.error, NotConfirmed)
     assert "did not show it within 0.3 s: its states show" in str(setting.error)
     assert "no value" not in str(setting.error)
@@ -207,11 +207,11 @@ def test_setting_without_confirm_does_not_wait(robot: ScriptedController, name: 
     [
         ("5.11", False, "the robot is in local control"),
         ("5.11", None, "check the mode on the pendant"),
-        ("5.11", True, "the controller may have been delayed"),
-        ("3.4", None, "the controller may have been delayed"),
+        ("5.11", True, "the controller might have been delayed"),
+        ("3.4", None, "the controller might have been delayed"),
     ],
 )
-def test_not_confirmed_names_likely_cause(firmware: str, is_remote: bool | None, why: str) -> None:
+def test_not_confirmed_error_names_the_likely_cause(firmware: str, is_remote: bool | None, why: str) -> None:
     with ScriptedController(firmware, is_remote=is_remote) as robot:
         robot.clear()
         with pytest.raises(NotConfirmed, match=why):
@@ -229,7 +229,9 @@ def test_not_confirmed_names_likely_cause(firmware: str, is_remote: bool | None,
         ("5.11", lambda r: r.io.set_flag(3, True)),
     ],
 )
-def test_setting_without_echo_does_not_wait(firmware: str, act: Callable[[ScriptedController], None]) -> None:
+def test_setting_that_states_do_not_show_does_not_wait(
+    firmware: str, act: Callable[[ScriptedController], None]
+) -> None:
     with ScriptedController(firmware) as robot:
         robot.clear()
         act(robot)
@@ -341,7 +343,7 @@ class Answering:
     def send(self, text: str, values: object = None, *, wait: bool = True) -> None:
         self.sent.append(text)
         for answer in self.answers:
-            (self.realtime if isinstance(answer, RealtimeState) else self.primary).tell(answer)
+            (self.realtime if isinstance(answer, RealtimeState) else self.primary).deliver(answer)
 
     def doubt(self) -> None:
         self.doubts += 1
@@ -376,7 +378,9 @@ def offset(*pose: float) -> CartesianInfo:
         ((0, 0, 0, 0, 0, 0.5), (0, 0, 0, 0, 0, -0.5), False),
     ],
 )
-def test_tcp_is_confirmed_by_equal_pose(wanted: tuple[float, ...], shown: tuple[float, ...], is_same: bool) -> None:
+def test_tcp_is_confirmed_when_the_reported_pose_is_equal(
+    wanted: tuple[float, ...], shown: tuple[float, ...], is_same: bool
+) -> None:
     robot = Answering()
     assert robot.is_confirmed(lambda settings, confirm: settings.tcp(wanted, confirm), offset(*shown)) == is_same
     assert robot.doubts == (not is_same)
@@ -408,7 +412,9 @@ def analog_out(settings: Settings, fraction: float, confirm: float) -> None:
         (lambda s, c: s.payload(1.0, [0, 0, 1e-5], None, c), RealtimeState((5, 11), payload_mass=1.0), False),
     ],
 )
-def test_confirmation_tolerances(act: Callable[[Settings, float], None], shown: State, is_right: bool) -> None:
+def test_setting_is_confirmed_only_within_its_tolerance(
+    act: Callable[[Settings, float], None], shown: State, is_right: bool
+) -> None:
     assert Answering().is_confirmed(act, shown) == is_right
 
 
@@ -423,7 +429,7 @@ def test_confirmation_tolerances(act: Callable[[Settings, float], None], shown: 
         ("3.0", lambda s, c: s.speed_slider(0.5, c), True),
     ],
 )
-def test_first_firmware_that_shows_each_setting(
+def test_setting_is_confirmed_only_by_firmware_that_shows_it(
     firmware: str, act: Callable[[Settings, float], None], is_waited_for: bool
 ) -> None:
     robot = Answering(firmware)
@@ -446,7 +452,7 @@ def test_setting_is_confirmed_by_one_matching_state() -> None:
         act(robot.settings, 0.001)
 
 
-def test_missing_fields_show_no_value() -> None:
+def test_setting_is_not_confirmed_by_states_without_its_fields() -> None:
     """The controller reports firmware 5.11, but sends packets of an older firmware."""
     robot = Answering()
     robot.answers = [RealtimeState("3.4"), CartesianInfo("1.8")]
@@ -459,7 +465,7 @@ def test_missing_fields_show_no_value() -> None:
             act()
 
 
-def test_likely_cause_is_named_without_dashboard() -> None:
+def test_not_confirmed_error_names_a_cause_without_dashboard() -> None:
     asked: list[str] = []
 
     def is_remote() -> bool | None:
@@ -468,7 +474,7 @@ def test_likely_cause_is_named_without_dashboard() -> None:
 
     for firmware, why, count in (
         ("5.11", "check the mode on the pendant", 1),
-        ("3.4", "the controller may have been delayed", 0),
+        ("3.4", "the controller might have been delayed", 0),
     ):
         asked.clear()
         with pytest.raises(NotConfirmed, match=why):

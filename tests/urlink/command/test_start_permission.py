@@ -82,7 +82,7 @@ class Clients(RuleBasedStateMachine):
             return
         for client in self.clients:
             before = len(client.sent)
-            client.primary.tell(TextMessage(FIRMWARE, text=text))
+            client.primary.deliver(TextMessage(FIRMWARE, text=text))
             if len(client.sent) > before:
                 assert not client.begun[self.running[0]].done
                 client.permitted.add(self.running[0])

@@ -104,7 +104,7 @@ def waits_of(mode: Mode, monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 def test_statement_is_sent_through_the_interlock(mode: Mode) -> None:
     assert [mode.interpreter.execute("a = 1"), mode.interpreter.execute("a = 2")] == [1, 2]
-    mode.primary.tell(slow(SafetyMode.PROTECTIVE_STOP))
+    mode.primary.deliver(slow(SafetyMode.PROTECTIVE_STOP))
     with pytest.raises(SafetyStop):
         mode.interpreter.execute("a = 3")
     # Commands that end a motion do not ask the interlock.
@@ -152,7 +152,7 @@ def test_statement_with_compile_error_raises_immediately(mode: Mode, monkeypatch
         mode.interpreter.execute("a = 1")
 
 
-def test_statements_are_cleared_after_500(mode: Mode) -> None:
+def test_interpreter_clears_statements_after_every_500(mode: Mode) -> None:
     clears = []
     for _ in range(1001):
         before = len(mode.peer.asked)
@@ -197,7 +197,9 @@ def test_wait_executed_raises_timeout(mode: Mode, seconds: float, sleeps: list[f
         (lambda i: i.execute("a = 1", wait=7.0), 7),
     ],
 )
-def test_default_timeouts_of_waiting(mode: Mode, act: Callable[[Interpreter], object], seconds: int) -> None:
+def test_interpreter_waits_raise_after_their_default_timeout(
+    mode: Mode, act: Callable[[Interpreter], object], seconds: int
+) -> None:
     mode.peer.lag = 1
     mode.clock.meanwhile = lambda: setattr(mode.clock, "now", mode.clock.now + 100.0)
     with pytest.raises(LinkTimeout, match=f"within {seconds} s"):
@@ -222,7 +224,7 @@ def test_clear_returns_statement_number(mode: Mode) -> None:
     assert (mode.interpreter.execute("a = 1"), mode.interpreter.clear()) == (1, 2)
 
 
-def test_state_queries_progress_in_safe_order(mode: Mode) -> None:
+def test_interpreter_state_asks_for_the_furthest_number_last(mode: Mode) -> None:
     mode.peer.answers += [f"state: {number}: x" for number in (3, 5, 7, 9)]
     assert mode.interpreter.state == InterpreterState(9, 7, 5, 3)
     # Statements are executed between the queries, so a later reply shows more progress.
@@ -259,7 +261,7 @@ def test_exception_in_block_brakes_and_closes(mode: Mode, monkeypatch: pytest.Mo
     assert (mode.peer.asked, brakes, mode.peer.is_closed) == ([], [1], True)
 
 
-def test_normal_end_of_block_ends_the_mode(mode: Mode, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interpreter_mode_ends_when_the_block_ends_normally(mode: Mode, monkeypatch: pytest.MonkeyPatch) -> None:
     waits = waits_of(mode, monkeypatch)
     leave_by(mode, None)
     assert (mode.peer.asked, waits, mode.peer.is_closed) == (["end_interpreter()"], [42.0], True)
@@ -274,7 +276,7 @@ def test_normal_end_of_block_ends_the_mode(mode: Mode, monkeypatch: pytest.Monke
         (RemoteError("failed"), False),
     ],
 )
-def test_program_that_may_resume_is_ended(mode: Mode, error: LinkError, is_told: bool) -> None:
+def test_interpreter_end_aborts_a_paused_program(mode: Mode, error: LinkError, is_told: bool) -> None:
     """A stop only pauses the program."""
     mode.life.fail(error)
     with pytest.raises(type(error)):
@@ -290,7 +292,7 @@ def test_end_logs_when_controller_does_not_reply(mode: Mode, caplog: pytest.LogC
     mode.peer.answers.append(LinkTimeout("no reply"))
     with pytest.raises(NotRunning):
         mode.interpreter.end()
-    assert "its program may still wait for statements: no reply" in caplog.text
+    assert "its program might still be waiting for statements: no reply" in caplog.text
     assert mode.peer.is_closed
 
 
@@ -330,9 +332,9 @@ def test_mode_begins_when_controller_accepts_a_statement(beginning: Beginning) -
     assert peer.asked == [EXECUTED, "sync()", "sync()", "sync()"]
     assert beginning.clock.sleeps == [0.02, 0.02]
     assert "interpreter_mode()" in beginning.sent[0]
-    (name,) = beginning.programs._runs
+    name = beginning.sent[0].split()[1].removesuffix("():")
     beginning.key("PROGRAM_XXX_STARTED", name)
-    beginning.primary.tell(TextMessage((5, 11), text="hello"))
+    beginning.primary.deliver(TextMessage((5, 11), text="hello"))
     assert interpreter.texts == ("hello",)
     assert texts == ["hello"]
     interpreter.cancel()
@@ -347,7 +349,9 @@ def test_nothing_is_sent_when_service_is_off(beginning: Beginning) -> None:
 
 
 @pytest.mark.parametrize(("seconds", "sleeps"), [(0.02, [0.02]), (0.05, [0.02, 0.02, 0.01])])
-def test_mode_that_does_not_begin_times_out(beginning: Beginning, seconds: float, sleeps: list[float]) -> None:
+def test_interpreter_mode_that_does_not_begin_times_out(
+    beginning: Beginning, seconds: float, sleeps: list[float]
+) -> None:
     beginning.clock.now = 0.0
     beginning.peer.answers += [f"state: 0: {EXECUTED}", *["discard: 0: sync()"] * 9]
     with pytest.raises(LinkTimeout, match=f"did not begin within {seconds:g} s"):
@@ -366,7 +370,7 @@ def test_program_that_ended_before_the_mode_began_raises(beginning: Beginning, m
 
     monkeypatch.setattr(beginning.programs, "life", life)
     ends: list[tuple[Callable[[Any], object], type[LinkError], str]] = [
-        (lambda life: life.finish(), RemoteError, "interpreter mode ended before it began"),
+        (lambda life: life.finish(), RemoteError, "interpreter mode ended before it accepted a statement"),
         (lambda life: life.fail(NotRunning("no power")), NotRunning, "no power"),
     ]
     for end, error, words in ends:

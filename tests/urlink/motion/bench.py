@@ -110,7 +110,7 @@ class Bench:
     def __getattr__(self, name: str) -> Any:
         raise AttributeError(f"the program used {name}, which this bench does not have")
 
-    def say(self, messages: bytes) -> None:
+    def deliver(self, messages: bytes) -> None:
         """Deliver messages to the program's socket in this cycle."""
         for at in range(0, len(messages), MESSAGE_SIZE):
             self.sockets.waiting += dated(messages[at : at + MESSAGE_SIZE], self.cycle)
@@ -186,7 +186,7 @@ class Led:
         for i in range(cycles):
             if i >= missed:
                 message = self.resampled.answer(self.state(), 1000.0 + self.time)
-                self.bench.say(message)
+                self.bench.deliver(message)
                 if message and message != WAIT_MESSAGE:
                     self.sent.append(read_message(message)[0])
             self.bench.run()

@@ -5,12 +5,18 @@ from __future__ import annotations
 import gc
 import threading
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 
+from linkcore.handle import Lifecycle
 from tests.fakes.rehearsal import Rehearsal
 from tests.waiting import until
 from tests.worlds.guarded import guards
+from urlink.motion.context import MotionContext
+from urlink.motion.servo import block_motion
+from urlink.motion.servo.linked_program import LinkedProgram
+from urlink.motion.servo.setpoints import LinkDialogue
 
 __all__ = ["guards"]
 
@@ -23,6 +29,21 @@ def leaves_nothing() -> Iterator[None]:
     until(lambda: set(threading.enumerate()) <= before)
     # Collect young objects only: a full collection takes 6 ms, for each of a thousand tests. It runs after the module.
     gc.collect(1)
+
+
+@pytest.fixture
+def dialogues(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Dialogues with the programs of the blocks that the test makes, in order."""
+    made: list[Any] = []
+
+    def make(
+        life: Lifecycle, context: MotionContext, dialogue: LinkDialogue, *more: Any, **options: Any
+    ) -> LinkedProgram:
+        made.append(dialogue)
+        return LinkedProgram(life, context, dialogue, *more, **options)
+
+    monkeypatch.setattr(block_motion, "LinkedProgram", make)
+    return made
 
 
 @pytest.fixture

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import struct
 from collections import deque
 from collections.abc import Callable, Sequence
 from types import SimpleNamespace
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -23,17 +24,32 @@ from urlink.motion.stream.stream_points import PointReader, Points
 from urlink.motion.stream.stream_steps import Bounds, Handed
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState
-from urlink.script.buffering import buffering
+from urlink.script.buffering import MESSAGE, REPORTED, RESTING, buffering
 from urlink.script.links import ReverseSocket
 
-__all__ = ["ACCELERATION", "JERK", "Streamed"]
+__all__ = ["ACCELERATION", "JERK", "Report", "Streamed"]
 
 #: Acceleration in rad/s² and jerk in rad/s³ of the braking and corrections that a stream adds.
 ACCELERATION, JERK = 10.0, 100.0
+_MESSAGE, _REPORT = struct.Struct(f">{MESSAGE}i"), struct.Struct(f">{REPORTED}i")
+
+
+class Report(NamedTuple):
+    """Numbers of a report, as the program sends them; see `urlink.script.buffering`."""
+
+    messages: int
+    epoch: int
+    head: int
+    base: int
+    passed: int
+    phase: int
 
 
 class Streamed:
     """Feed of a stream and the program that buffers its points; `path` holds one set-point per cycle.
+
+    `sent` holds the numbers of each message that the feed has sent. `report` is the last report that it has read, and
+    `since_report` the number of cycles since then.
 
     Args:
         firmware: Firmware of the controller.
@@ -61,7 +77,12 @@ class Streamed:
         self.bench = Bench(self.program(write), firmware)
         self.path: list[list[float]] = []
         self.bench.watch_servoj(self.path.append, is_followed=False)
+        self.capacity = capacity
         self.way = way
+        self.sent: list[tuple[int, ...]] = []
+        self.report = Report(0, 0, 0, 0, 0, RESTING)
+        self.since_report = 0
+        self._received = b""
         self._there: deque[bytes] = deque()
         self._back: deque[bytes] = deque()
         self.run(3)
@@ -91,11 +112,25 @@ class Streamed:
                 received = b""
                 while len(self._back) > self.way:
                     received += self._back.popleft()
-                message = self.feed.step(received, self.state(), 1000.0 + self.bench.cycle * self.period)
-                self._there.append(dated(message, self.bench.cycle))
+                self._there.append(self.answer(received))
             while len(self._there) > self.way or (is_frozen and self._there):
                 self.bench.sockets.waiting += self._there.popleft()
             self.bench.run()
+
+    def answer(self, received: bytes) -> bytes:
+        """Give the feed what it has received, and a state; return its message."""
+        self._received += received
+        self.since_report += 1
+        while len(self._received) >= _REPORT.size:
+            self.report = Report(*_REPORT.unpack_from(self._received))
+            self._received, self.since_report = self._received[_REPORT.size :], 0
+        message = self.feed.step(received, self.state(), 1000.0 + self.bench.cycle * self.period)
+        self.sent.append(_MESSAGE.unpack(message))
+        return dated(message, self.bench.cycle)
+
+    def receive(self, report: Report) -> None:
+        """Give the feed a report from the test in the next cycle, in which the program does not run."""
+        self._there.append(self.answer(_REPORT.pack(*report)))
 
     def append(self, points: Points) -> Handed:
         """Append points without waiting."""

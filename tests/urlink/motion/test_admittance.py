@@ -44,7 +44,7 @@ class Admittance(SoftTool):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("axis", "in_tool"), [(axis, bool(axis % 2)) for axis in range(6)])
-def test_wrench_moves_tool_by_force_over_stiffness(axis: int, in_tool: bool) -> None:
+def test_displacement_of_tool_is_force_divided_by_stiffness(axis: int, in_tool: bool) -> None:
     soft = Admittance(in_tool=in_tool)
     start = soft.pose
     axes = poses.rotvec_to_matrix(start[3:]) if in_tool else np.eye(3)

@@ -13,7 +13,7 @@ import pytest
 from linkcore import clock
 from linkcore.errors import BadValue, Cancelled, Closed, ConnectionLost, LinkTimeout, LocalError
 from linkcore.handle import Phase
-from tests.fakes.rehearsal import FOLLOW, HOME, STOP, TIMEOUT, WAIT, Rehearsal, turned
+from tests.fakes.rehearsal import FOLLOW, HOME, STOP, TIMEOUT, WAIT, Rehearsal, freedrive, turned
 from tests.urlink.motion.test_servo import Beside
 from tests.waiting import until
 from urlink.arm.kinematics import Arm
@@ -23,6 +23,7 @@ from urlink.errors import NoContact, ProgramStopped
 from urlink.motion.motions import LinkName
 from urlink.motion.servo.block_motion import BlockMotion
 from urlink.motion.servo.force_control import ForceMode
+from urlink.motion.servo.linked_program import LinkedProgram
 
 pytestmark = pytest.mark.simulated_time
 
@@ -39,7 +40,7 @@ def entered(robot: Rehearsal, block: B) -> Iterator[B]:
     block.cancel()
 
 
-def told(robot: Rehearsal, until_it_is: list[float] | None = None) -> list[float]:
+def next_setpoint(robot: Rehearsal, until_it_is: list[float] | None = None) -> list[float]:
     """Return the set-point sent for the next state; with `until_it_is`, skip earlier messages."""
     while True:
         robot.tick()
@@ -66,14 +67,14 @@ def test_force_mode_sends_wrench_with_every_state(led: Rehearsal) -> None:
         for part in (call, "force_mode_set_damping(0.25)", "force_mode_set_gain_scaling(1.5)", "missed < 250"):
             assert part in led.uploaded
         for _ in range(3):
-            assert told(led) == DOWN
+            assert next_setpoint(led) == DOWN
             assert led.speeds == [0.0] * 6
         assert pressing.wrench.tolist() == DOWN
         with pytest.raises(BadValue, match=r"wrench\[z\]"):
             pressing.set_wrench([0, 0, -2000, 0, 0, 0])
         assert pressing.wrench.tolist() == DOWN
         pressing.set_wrench([0.0] * 6)
-        assert told(led, [0.0] * 6) == told(led) == pressing.wrench.tolist() == [0.0] * 6
+        assert next_setpoint(led, [0.0] * 6) == next_setpoint(led) == pressing.wrench.tolist() == [0.0] * 6
         assert len(led.sent) == 1
     with pytest.raises(Cancelled):
         pressing.set_wrench(DOWN)
@@ -106,18 +107,18 @@ def test_force_mode_leaves_unset_options_to_the_controller(robot: Rehearsal) -> 
 
 
 def test_freedrive_sends_a_message_per_state(led: Rehearsal) -> None:
-    free = led.motion._freedrive([1, 0, 0, 0, 0, True], [1, 2, 3, 0, 0, 0.5], 0.4, link_of(led))
+    free = freedrive(led.motion, [1, 0, 0, 0, 0, True], frame=[1, 2, 3, 0, 0, 0.5], watchdog=0.4, link=link_of(led))
     with entered(led, free):
         call = "freedrive_mode(freeAxes=[1, 0, 0, 0, 0, 1], feature=p[1.0, 2.0, 3.0, 0.0, 0.0, 0.5])"
         assert call in led.uploaded
         assert "missed < 200" in led.uploaded
         for _ in range(3):
-            assert told(led) == [0.0] * 6
+            assert next_setpoint(led) == [0.0] * 6
     assert free.phase is Phase.CANCELLED
 
 
 @pytest.mark.parametrize("is_compensated", [True, False])
-def test_torque_sends_only_the_set_points_of_the_loop(
+def test_torque_sends_only_set_points_given_by_the_loop(
     rehearsal: Callable[..., Rehearsal], is_compensated: bool
 ) -> None:
     robot = rehearsal("5.25", "UR5e")
@@ -159,7 +160,7 @@ def test_torque_respects_given_limits(rehearsal: Callable[..., Rehearsal]) -> No
 def each_block(robot: Rehearsal) -> dict[str, Callable[[], BlockMotion]]:
     return {
         "force_mode": lambda: press(robot),
-        "freedrive": lambda: robot.motion._freedrive(None, "base", 0.5, "reverse"),
+        "freedrive": lambda: freedrive(robot.motion),
         "torque": robot.motion.torque,
         "jog": robot.motion.jog,
         "servo": robot.motion.servo,
@@ -195,9 +196,10 @@ def test_unexpected_program_end_ends_block(rehearsal: Callable[..., Rehearsal], 
             block.wait(TIMEOUT)
 
 
-def test_command_after_leaving_block_raises_closed(robot: Rehearsal) -> None:
+def test_command_after_leaving_block_raises_closed(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     with entered(robot, robot.motion.jog()) as jog:
-        jog._program.finish()  # as leaving the block does, before it waits until the arm is at rest
+        monkeypatch.setattr(jog, "wait", lambda seconds: None)
+        jog.__exit__()  # the arm is not yet at rest
         with pytest.raises(Closed, match="the block of this jog was left"):
             jog.move([0.1] * 6)
 
@@ -223,18 +225,18 @@ def test_send_waits_for_reason_of_lost_connection(robot: Rehearsal, monkeypatch:
         waited.append(seconds)
         raise LinkTimeout("no reason was reported")
 
-    def say(data: bytes) -> None:
+    def say(program: LinkedProgram, data: bytes) -> None:
         raise ConnectionLost("reset")
 
     with entered(robot, robot.motion.servo()) as servo:
         monkeypatch.setattr(servo, "wait", wait)
-        monkeypatch.setattr(servo._program, "say", say)
+        monkeypatch.setattr(LinkedProgram, "say", say)
         with pytest.raises(ConnectionLost, match="reset"):
             servo.send(HOME)
         assert waited == [1.5]
 
 
-def test_block_thread_is_urgent_inside_block(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_block_thread_enters_urgent_mode_inside_the_block(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[str] = []
 
     @contextmanager
@@ -253,11 +255,11 @@ def test_block_thread_is_urgent_inside_block(robot: Rehearsal, monkeypatch: pyte
 
 
 def test_interrupted_start_cancels_block(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupt(seconds: float) -> None:
+    def interrupt(future: object, seconds: float) -> bool:
         raise KeyboardInterrupt
 
     jog = robot.motion.jog()
-    monkeypatch.setattr(jog._linked, "exception", interrupt)
+    monkeypatch.setattr(clock, "is_done", interrupt)
     with pytest.raises(KeyboardInterrupt):
         jog.__enter__()
     assert jog.phase is Phase.CANCELLED
@@ -268,7 +270,7 @@ def test_block_times_out_if_program_never_connects(robot: Rehearsal) -> None:
     """No states arrive either, which would report the missing connection after five seconds."""
     begun = clock.now()
     jog = robot.motion.jog()
-    with pytest.raises(LinkTimeout, match="jog: no connection within 6 s"):
+    with pytest.raises(LinkTimeout, match="jog: the program on the robot did not connect within 6 s"):
         jog.__enter__()
     assert clock.now() - begun == pytest.approx(6.0, abs=0.05)
     assert jog.phase is Phase.CANCELLED

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-import threading
 
 import pytest
 
-from tests.contended import Contended
+from tests.contended import contended_lock
 from tests.urlink.motion.test_program_time import state
 from urlink.motion.stream.common_time import CommonPace, CommonTime, MemberPace, MemberTimer
 
@@ -53,7 +52,7 @@ class Clocks:
 
 
 @pytest.mark.parametrize("late", [0.0, 0.02, -0.005])
-def test_all_start_50_ms_after_last_arm_is_ready(late: float) -> None:
+def test_arms_of_a_group_start_50_ms_after_the_last_is_ready(late: float) -> None:
     clocks = Clocks(late)
     one, other = clocks.members
     for _ in range(5):
@@ -104,7 +103,7 @@ def test_common_time_starts_at_rate_of_slowest_arm() -> None:
     assert clocks.common.rate == pytest.approx(0.3)
 
 
-def test_silent_or_paused_arm_stops_all_until_departure() -> None:
+def test_silent_or_paused_arm_halts_the_group_until_it_leaves() -> None:
     clocks = Clocks()
     clocks.begin(1.0, 1.0)
     one, other = clocks.members
@@ -132,7 +131,7 @@ def test_silent_or_paused_arm_stops_all_until_departure() -> None:
     one.leave()
 
 
-def test_arm_leaving_before_ready_is_not_awaited() -> None:
+def test_group_does_not_wait_for_an_arm_that_left_before_ready() -> None:
     clocks = Clocks()
     clocks.members[1].leave()
     clocks.begin(1.0, 0.1)
@@ -143,7 +142,7 @@ def test_arm_leaving_before_ready_is_not_awaited() -> None:
     ("off", "towards"),
     [(0.0, 0.0), (0.004, 0.004 / 0.2), (-0.004, -0.004 / 0.2), (0.5, 0.1), (-0.5, -0.1)],
 )
-def test_arm_converges_to_common_time_within_200_ms(off: float, towards: float) -> None:
+def test_late_arm_reaches_common_time_within_200_ms(off: float, towards: float) -> None:
     """The correction is at most a tenth of the arm's speed."""
     clocks = Clocks()
     clocks.begin(1.0, 1.0)
@@ -214,7 +213,7 @@ class Paces:
                 self.sent[i] = member.look(self.now + offset, self.now, self.places[i], self.rates[i], **what)
 
 
-def test_streams_start_50_ms_after_last_passes_points() -> None:
+def test_streams_start_50_ms_after_the_last_stream_has_points() -> None:
     paces = Paces()
     paces.are_led = [True, False]
     paces.step(20)
@@ -275,7 +274,7 @@ def test_stream_without_points_does_not_delay_others() -> None:
     assert paces.sent == [1.0, 1.0]
 
 
-def test_braked_stream_stops_all_until_joint_restart() -> None:
+def test_dry_stream_stops_all_streams_until_a_joint_restart() -> None:
     paces = Paces()
     paces.step(40)
     paces.are_led[1] = False
@@ -309,7 +308,7 @@ def test_silent_or_paused_stream_has_rate_zero() -> None:
 
 @pytest.mark.parametrize("ahead", [0.0, 0.02, 0.1, 0.3])
 @pytest.mark.parametrize("leader", [0, 1])
-def test_leading_stream_waits_for_slower_stream(leader: int, ahead: float) -> None:
+def test_leading_stream_slows_down_for_the_slower_stream(leader: int, ahead: float) -> None:
     """It stops if it is 0.2 s ahead or more; otherwise it slows down until the streams are together."""
     paces = Paces()
     paces.step(40)
@@ -319,7 +318,7 @@ def test_leading_stream_waits_for_slower_stream(leader: int, ahead: float) -> No
     assert paces.sent[1 - leader] == pytest.approx(1.0)
 
 
-def test_position_of_stream_is_extrapolated() -> None:
+def test_position_of_stream_is_extrapolated_for_at_most_0_1_s() -> None:
     """At its pace, for at most 0.1 s; a stream that passes no points stays where it is."""
     paces = Paces()
     paces.places = [3.0, 3.0]
@@ -346,24 +345,26 @@ def test_state_without_time_uses_arrival_time_for_pace() -> None:
 # -- races between two threads -----------------------------------------------------------------------------
 
 
-def test_trajectories_do_not_wait_for_departed_arm() -> None:
-    clocks = Clocks()
+def test_trajectories_do_not_wait_for_an_arm_that_left_the_group() -> None:
+    with contended_lock("Lock") as lock:
+        clocks = Clocks()
     clocks.begin(1.0, 1.0)
     one, other = clocks.members
     other.is_paused = lambda: True
-    clocks.common._lock = Contended(threading.Lock(), before=lambda: clocks.common.leave(other))  # type: ignore[assignment]
+    lock.before = lambda: clocks.common.leave(other)
     clocks.step(1.0, None)
     assert clocks.common.rate == 1.0
     one.leave()
 
 
-def test_streams_do_not_wait_for_departed_arm() -> None:
-    paces = Paces()
+def test_streams_do_not_wait_for_an_arm_that_left_the_group() -> None:
+    with contended_lock("Lock") as lock:
+        paces = Paces()
     paces.step(40)
     one, other = paces.members
     other.is_paused = lambda: True
     paces.has_left[1] = True
-    paces.common._lock = Contended(threading.Lock(), before=lambda: paces.common.leave(other))  # type: ignore[assignment]
+    lock.before = lambda: paces.common.leave(other)
     paces.step()
-    assert paces.common._wanted == 1.0
+    assert paces.common.at(paces.now + 100.0) == 1.0
     paces.common.leave(one)

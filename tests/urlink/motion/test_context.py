@@ -50,7 +50,7 @@ def test_state_after_end_of_last_program_is_used() -> None:
 
 
 @pytest.mark.parametrize("newest", [None, state(9.0), state(10.0), state(None)])
-def test_waits_for_state_after_end_of_last_program(newest: Any) -> None:
+def test_motion_waits_for_state_after_end_of_last_program(newest: Any) -> None:
     """If states were delayed, the first one might be older than that end, so the newest one is used."""
     first, last = state(10.1), state(10.2)
     robot = Waiting(newest, state(9.5), state(10.0), state(None), first, newest_then=last)

@@ -67,7 +67,7 @@ def test_speed_slider_sends_set_speed(controller: Controller) -> None:
         assert lines(controller, 1) == ["set speed 0.42"]
 
 
-def test_parts_are_the_same_object_each_time(robot: urlink.Robot) -> None:
+def test_robot_parts_are_the_same_object_at_each_access(robot: urlink.Robot) -> None:
     for name in ("safety", "script", "io"):
         assert getattr(robot, name) is getattr(robot, name)
 

@@ -9,7 +9,7 @@ from urlink.motion.stream.feed_life import TRANSITIONS, FeedEvent, FeedLife, Fee
 
 @pytest.mark.parametrize("event", FeedEvent)
 @pytest.mark.parametrize("phase", FeedPhase)
-def test_event_outside_table_raises(phase: FeedPhase, event: FeedEvent) -> None:
+def test_feed_event_outside_transition_table_raises(phase: FeedPhase, event: FeedEvent) -> None:
     life = FeedLife()
     life.phase = phase
     if (phase, event) in TRANSITIONS:
@@ -21,7 +21,7 @@ def test_event_outside_table_raises(phase: FeedPhase, event: FeedEvent) -> None:
         assert life.phase is phase
 
 
-def test_every_phase_can_be_reached() -> None:
+def test_every_phase_of_a_feed_can_be_reached() -> None:
     reached, waiting = {FeedPhase.STARTING}, [FeedPhase.STARTING]
     while waiting:
         phase = waiting.pop()

@@ -19,6 +19,7 @@ from linkcore.errors import BadAddress, BadValue, Cancelled, ConnectFailed, Conn
 from linkcore.handle import Motion, Phase
 from linkcore.pending_call import PendingCall
 from linkcore.streaming.subscription import Subscription
+from tests import platforms
 from tests.fakes.rehearsal import FOLLOW, STOP, TIMEOUT, WAIT, Rehearsal, turned
 from tests.waiting import until
 from urlink.errors import NotEnabled, NotRunning, ProgramStopped, SafetyStop, ToleranceExceeded
@@ -103,7 +104,7 @@ def test_unknown_link_is_rejected(robot: Rehearsal) -> None:
     assert robot.sent == []
 
 
-def test_state_from_the_past_counts_as_one_cycle(robot: Rehearsal) -> None:
+def test_state_with_earlier_time_counts_as_one_cycle(robot: Rehearsal) -> None:
     motion = robot.motion.follow(PATH)
     robot.connect()
     way: list[float] = []
@@ -157,25 +158,25 @@ def test_initial_offset_is_faded_out(led: Rehearsal) -> None:
 
 
 def test_feedback_may_be_slow_and_may_raise(led: Rehearsal) -> None:
-    told: list[TrajectoryFeedback] = []
+    reported: list[TrajectoryFeedback] = []
     release = threading.Event()
 
     def feedback(each: TrajectoryFeedback) -> None:
-        told.append(each)
+        reported.append(each)
         release.wait(TIMEOUT)
         raise ValueError("raised by the user")
 
     motion = begun(led, feedback=feedback)
-    led.until(lambda: told)
+    led.until(lambda: reported)
     while not motion.done and (message := led.obey()) is not None and message[1] == FOLLOW:
         pass
     led.finish()
     motion.wait(TIMEOUT)
     release.set()
-    assert len(told) == 1
-    assert told[0].q_desired - told[0].q_actual == pytest.approx(told[0].error)
-    assert told[0].time >= 0
-    assert told[0].qd_actual.shape == told[0].qd_desired.shape == (6,)
+    assert len(reported) == 1
+    assert reported[0].q_desired - reported[0].q_actual == pytest.approx(reported[0].error)
+    assert reported[0].time >= 0
+    assert reported[0].qd_actual.shape == reported[0].qd_desired.shape == (6,)
 
 
 def test_end_of_motion_does_not_wait_for_feedback(led: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -194,9 +195,9 @@ def test_end_of_motion_does_not_wait_for_feedback(led: Rehearsal, monkeypatch: p
 
 
 def test_feedback_runs_from_start_to_end_of_trajectory() -> None:
-    told: list[TrajectoryFeedback] = []
+    reported: list[TrajectoryFeedback] = []
     following = SimpleNamespace(times=lambda time: None, is_over=False, desired=lambda t: ([t] * 6, [2.0] * 6))
-    report = _reporter(cast(Following, following), told.append)
+    report = _reporter(cast(Following, following), reported.append)
 
     def seen(time: float) -> RealtimeState:
         return RealtimeState(Firmware(5, 11), time=time, q_actual=[0.125] * 6, qd_actual=[1.0] * 6)
@@ -204,14 +205,14 @@ def test_feedback_runs_from_start_to_end_of_trajectory() -> None:
     report(seen(50.0))
     following.times = lambda time: (time - 50.0, 0.5 * (time - 50.0))
     report(seen(49.5))
-    assert told == []
+    assert reported == []
     report(seen(50.0))
     report(seen(50.5))
     following.is_over = True
     report(seen(51.0))
-    assert [each.time for each in told] == [0.0, 0.5]
-    assert [each.trajectory_time for each in told] == [0.0, 0.25]
-    last = told[-1]
+    assert [each.time for each in reported] == [0.0, 0.5]
+    assert [each.trajectory_time for each in reported] == [0.0, 0.25]
+    last = reported[-1]
     for values, value in (
         (last.q_desired, 0.25),
         (last.qd_desired, 2.0),
@@ -236,7 +237,7 @@ def test_feedback_thread_ends_with_motion(led: Rehearsal) -> None:
 def test_impossible_trajectories_are_rejected(led: Rehearsal) -> None:
     far = Trajectory.from_arrays([0, 1], [turned(1), turned(1)])
     wild = Trajectory.from_arrays([0, 0.1], [turned(0), turned(1)])
-    for trajectory, message in ((far, "too far from where the arm is"), (wild, "limit of a UR5e")):
+    for trajectory, message in ((far, "too far from the position of the arm"), (wild, "limit of a UR5e")):
         with pytest.raises(BadValue, match=message):
             led.motion.follow(trajectory)
     for options in ({"goal_tolerance": -1}, {"path_tolerance": 0}, {"watchdog": 0}, {"gain": 1}, {"lookahead_time": 1}):
@@ -248,7 +249,7 @@ def test_impossible_trajectories_are_rejected(led: Rehearsal) -> None:
     assert led.motion.current is None
 
 
-def test_position_of_moving_arm_is_not_checked_yet(led: Rehearsal) -> None:
+def test_follow_checks_start_position_when_the_arm_is_at_rest(led: Rehearsal) -> None:
     """The previous motion has ended, but the newest state was sent a little before its end."""
     led.q, led.qd = turned(-0.2), [0.0, 0.0, 0.0, 0.0, 0.0, 0.5]
     led.show()
@@ -388,7 +389,7 @@ def test_leaving_path_raises_tolerance_exceeded(led: Rehearsal) -> None:
     assert last[1] == STOP
 
 
-def test_missing_goal_raises_tolerance_exceeded(led: Rehearsal) -> None:
+def test_arm_that_misses_the_goal_raises_tolerance_exceeded(led: Rehearsal) -> None:
     motion = begun(led, goal_time=0.1)
     while not motion.done:
         led.tick(away=0.02)
@@ -431,6 +432,7 @@ def test_occupied_port_raises_bad_address(rehearsal: Callable[..., Rehearsal], r
     assert other.motion.current is None
 
 
+@platforms.needs_reusable_ports
 def test_fixed_port_serves_consecutive_motions(rehearsal: Callable[..., Rehearsal], own_port: int) -> None:
     fixed = rehearsal(port=own_port)
     waiting = fixed.motion.follow(PATH)
@@ -445,6 +447,7 @@ def test_fixed_port_serves_consecutive_motions(rehearsal: Callable[..., Rehearsa
     after.cancel()
 
 
+@platforms.needs_reusable_ports
 def test_refused_motion_keeps_port_of_current_motion(rehearsal: Callable[..., Rehearsal], own_port: int) -> None:
     fixed = rehearsal(port=own_port)
     waiting = fixed.motion.follow(PATH)
@@ -526,7 +529,7 @@ def test_low_bandwidth_starts_at_position_of_arm(robot: Rehearsal) -> None:
     assert "stopj" in robot.sent[-1]
 
 
-def test_invalid_request_raises_program_stopped(robot: Rehearsal) -> None:
+def test_follow_raises_program_stopped_after_an_invalid_request(robot: Rehearsal) -> None:
     motion = robot.motion.follow(PATH, low_bandwidth=True)
     robot.connect()
     assert robot.link is not None

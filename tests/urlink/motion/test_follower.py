@@ -22,7 +22,7 @@ from urlink.motion.links.messages import MESSAGE_SIZE, setpoint
 from urlink.motion.moves.speed_limit import EARLY, largest_speeds
 from urlink.motion.moves.trajectory import Trajectory
 from urlink.motion.servo.follower import Follower
-from urlink.motion.servo.following import Tolerances, stands
+from urlink.motion.servo.following import AHEAD, Tolerances, stands
 from urlink.motion.servo.setpoints import Servoing
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState
@@ -82,17 +82,17 @@ class Feeding:
         #: speed of the last joint after each set-point, rad/s
         self.speeds: list[float] = []
 
-    def state(self, cycles: float = 1, *, own: float | None = None, told: float | None = None) -> bytes:
+    def state(self, cycles: float = 1, *, own: float | None = None, stated: float | None = None) -> bytes:
         """Advance by `cycles` cycles and pass a state.
 
         Args:
             cycles: Cycles of the controller.
             own: Time in s that passes on this computer's clock, if it differs.
-            told: Time in the state, if it differs.
+            stated: Time in the state, if it differs.
         """
         self.time += cycles * self.cycle
         self.now += cycles * self.cycle if own is None else own
-        data = self.follower.step(b"", state(self.time if told is None else told, self.q), self.now)
+        data = self.follower.step(b"", state(self.time if stated is None else stated, self.q), self.now)
         if data and message(data)[1] == FOLLOW:
             self.q = message(data)[0]
             self.sent.append(self.q)
@@ -107,7 +107,7 @@ class LateTimer(ProgramTimer):
         return 0.02
 
 
-def test_late_start_equals_missing_as_many_cycles() -> None:
+def test_late_start_is_corrected_like_missed_cycles() -> None:
     """If two arms must move together, this computer might be delayed between the first set-points of both."""
     late = Feeding(Follower(WAVE, LOOSE, servoing(NEWEST), timer=LateTimer(0.002)))
     missed = Feeding(follower())
@@ -128,7 +128,7 @@ def test_late_start_equals_missing_as_many_cycles() -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "own", "passed"),
+    ("stated", "own", "passed"),
     [
         (0.002, 0.002, 0.002),
         (0.004, 0.004, 0.004),
@@ -146,12 +146,12 @@ def test_late_start_equals_missing_as_many_cycles() -> None:
         (float("inf"), 0.002, 0.002),
     ],
 )
-def test_controller_clock_is_used_only_while_plausible(told: float, own: float, passed: float) -> None:
+def test_controller_clock_is_ignored_if_it_is_implausible(stated: float, own: float, passed: float) -> None:
     clock = ControllerTimer(0.002)
     assert clock.passed(100.0, 7.0) == 0.0
-    assert clock.passed(100.0 + told, 7.0 + own) == pytest.approx(passed, abs=1e-12)
+    assert clock.passed(100.0 + stated, 7.0 + own) == pytest.approx(passed, abs=1e-12)
     # The clock continues from the reported time, even a wrong one.
-    following = 100.0 + told + 0.002
+    following = 100.0 + stated + 0.002
     assert clock.passed(following, 7.002 + own) == pytest.approx(0.002, abs=1e-9)
 
 
@@ -161,7 +161,7 @@ def test_single_wrong_time_does_not_shift_the_clock() -> None:
     assert sum(passed) == pytest.approx(0.008)
 
 
-def test_delayed_states_arriving_together_are_believed() -> None:
+def test_time_of_delayed_states_is_used_if_they_come_together() -> None:
     """States are half a second late, then catch up half a second within a tenth; no state is early."""
     clock = ControllerTimer(0.002)
     clock.passed(100.0, 7.0)
@@ -182,7 +182,7 @@ def test_timer_accepts_decreasing_delays_of_first_states() -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_each_set_point_is_for_one_cycle(firmware: Firmware) -> None:
+def test_follower_answers_each_state_with_the_next_set_point(firmware: Firmware) -> None:
     feeding = Feeding(follower(firmware), firmware)
     cycles = round(2.5 * firmware.rate)
     for _ in range(cycles):
@@ -202,7 +202,7 @@ def ramp(speed: float) -> Trajectory:
 
 
 @pytest.mark.parametrize(("missed", "pace"), [(0, 1.0), (15, 1.046), (30, 1.1)])
-def test_program_catches_up_at_most_a_tenth_faster(missed: int, pace: float) -> None:
+def test_program_catches_up_at_most_10_percent_faster(missed: int, pace: float) -> None:
     """Compare the pace with a lag to make up in 0.1 s: 2.3 cycles after 15 missed cycles, and 9.2 cycles after 30."""
     feeding = Feeding(follower(trajectory=ramp(0.5)))
     for _ in range(120):
@@ -231,7 +231,7 @@ def test_overshoot_is_corrected_at_constant_speed(speed: float, seconds: float) 
     assert (feeding.sent[-1][5], feeding.speeds[-1]) == pytest.approx((0.455 * speed, 0.0), abs=1e-6)
 
 
-def test_early_states_advance_half_as_far_or_not_at_all() -> None:
+def test_early_state_advances_set_point_by_less_than_a_cycle() -> None:
     """At the largest joint speed, a set-point may be early by no more than a millisecond."""
     feeding = Feeding(follower(trajectory=ramp(3.1)))
     for _ in range(120):
@@ -242,14 +242,14 @@ def test_early_states_advance_half_as_far_or_not_at_all() -> None:
     assert ways == pytest.approx(3.1 * feeding.cycle * np.array([1.0, 0.5, 0.0, 1.1]), abs=2e-6)
 
 
-@pytest.mark.parametrize("told", [1.0, -5.0, float("nan"), float("inf")])
-def test_implausible_time_moves_arm_by_at_most_one_cycle(told: float) -> None:
+@pytest.mark.parametrize("stated", [1.0, -5.0, float("nan"), float("inf")])
+def test_implausible_time_moves_arm_by_at_most_one_cycle(stated: float) -> None:
     feeding = Feeding(follower())
     program = Program(servoing(NEWEST), feeding.q)
     path = []
     for n in range(313):
-        wrong = feeding.time + told if n > 250 and n % 20 == 0 else None
-        path.append(program.cycle(feeding.state(told=wrong))[5])
+        wrong = feeding.time + stated if n > 250 and n % 20 == 0 else None
+        path.append(program.cycle(feeding.state(stated=wrong))[5])
     fastest = np.abs(WAVE.at(np.linspace(0, 2, 1000))[1]).max() * feeding.cycle
     assert np.abs(np.diff(path)).max() <= 1.1 * fastest + 1e-6
     assert path[-1] == pytest.approx(WAVE.at(314 * feeding.cycle)[0][5], abs=1e-4)
@@ -267,7 +267,7 @@ def test_permanent_clock_change_is_followed() -> None:
 
 
 @pytest.mark.parametrize("missed", [1, 3, 10, 30, 49])
-def test_missed_cycles_are_caught_up_a_tenth_faster(missed: int) -> None:
+def test_missed_cycles_are_caught_up_10_percent_faster(missed: int) -> None:
     feeding = Feeding(follower())
     for _ in range(250):
         feeding.state()
@@ -287,19 +287,19 @@ def test_missed_cycles_are_caught_up_a_tenth_faster(missed: int) -> None:
     assert sent[-1] == pytest.approx(WAVE.at((250 + missed + 601 + 1) * feeding.cycle)[0][5], abs=1e-4)
 
 
-def test_wrongly_reported_cycles_are_not_caught_up_at_once() -> None:
+def test_wrong_state_time_moves_the_arm_by_few_cycles_only() -> None:
     """The time of the state is wrong, but by less than the gap that is allowed between states that arrive together."""
     feeding = Feeding(follower())
     for _ in range(250):
         feeding.state()
     before = feeding.sent[-1][5]
-    assert feeding.state(told=feeding.time + 0.09)
+    assert feeding.state(stated=feeding.time + 0.09)
     fastest = np.abs(WAVE.at(np.linspace(0, 2, 1000))[1]).max() * feeding.cycle
     assert abs(feeding.sent[-1][5] - before) <= math.pi * (feeding.cycle + EARLY)
     assert abs(feeding.sent[-1][5] - before) <= 6 * fastest
 
 
-def test_unavoidable_jump_raises_tolerance_exceeded() -> None:
+def test_set_point_jump_ends_trajectory_with_tolerance_exceeded() -> None:
     """The arm is not where the trajectory is, and too little time passes for the arm to get there."""
     led = follower(tolerances=Tolerances(path=None, goal=0.05, goal_time=5.0, start=1.0))
     led.step(b"", state(50.0, turned(0.0)), 1000.0)
@@ -338,7 +338,7 @@ def test_arm_is_at_rest_below_two_hundredths_rad_per_second() -> None:
 
 
 def test_start_far_from_arm_is_rejected() -> None:
-    with pytest.raises(BadValue, match="too far from where the arm is"):
+    with pytest.raises(BadValue, match="too far from the position of the arm"):
         follower().step(b"", state(1.0, turned(0.06)), 10.0)
 
 
@@ -415,7 +415,7 @@ def test_tolerances_apply_to_path_and_goal(t: float, off: float, speed: float, w
             led._compare(seen, t)
 
 
-def test_times_report_position_on_trajectory() -> None:
+def test_times_returns_passed_time_and_time_on_trajectory() -> None:
     feeding = Feeding(follower())
     feeding.state()
     assert feeding.follower.times(50.002) == pytest.approx((0.0, 0.0))
@@ -431,7 +431,10 @@ def test_times_report_position_on_trajectory() -> None:
 
 
 class Program:
-    """Model of the streaming program without the interpreter; `test_program_model_matches_real_program` verifies it."""
+    """Model of the streaming program without the interpreter.
+
+    `test_follower_model_moves_like_the_program_on_the_robot` compares it with the real program.
+    """
 
     def __init__(self, servoing: Servoing, q: list[float]) -> None:
         self.q = list(q)
@@ -475,7 +478,7 @@ class Program:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES[1:], ids=str)
-def test_program_model_matches_real_program(firmware: Firmware) -> None:
+def test_follower_model_moves_like_the_program_on_the_robot(firmware: Firmware) -> None:
     """The program for CB2 also brakes, which is not modelled here."""
     bench = Bench(servoing(firmware).body(ReverseSocket("10.0.0.1", 50001, TOKEN)), firmware)
     modelled = Program(servoing(firmware), list(bench.motion.setpoint.q))
@@ -489,7 +492,7 @@ def test_program_model_matches_real_program(firmware: Firmware) -> None:
             expected.append(modelled.cycle(b""))
             bench.run()
         messages = feeding.state(missed + 1)
-        bench.say(messages)
+        bench.deliver(messages)
         expected.append(modelled.cycle(messages))
         bench.run()
     assert np.allclose(targets, expected[: len(targets)], rtol=0, atol=1e-9)
@@ -499,14 +502,14 @@ def test_program_model_matches_real_program(firmware: Firmware) -> None:
 
 @pytest.mark.parametrize("firmware", FIRMWARES[1:], ids=str)
 @pytest.mark.parametrize("watchdog", [0.05, 5.0])
-def test_coasting_of_program_matches_prediction(firmware: Firmware, watchdog: float) -> None:
+def test_coasting_distance_of_program_equals_the_prediction(firmware: Firmware, watchdog: float) -> None:
     """Compare the distance of each number of cycles without a set-point, and the speed in the last cycle."""
     how = servoing(firmware, watchdog)
     bench = Bench(how.body(ReverseSocket("10.0.0.1", 50001, TOKEN)), firmware)
     targets: list[list[float]] = []
     bench.watch_servoj(targets.append)
     bench.run(2)
-    bench.say(setpoint(turned(0.0), [0.0] * 5 + [0.5]))
+    bench.deliver(setpoint(turned(0.0), [0.0] * 5 + [0.5]))
     most = missable(min(watchdog, 0.1), firmware.rate)
     bench.run(most + 5)
     way = [q[5] for q in targets]
@@ -527,7 +530,7 @@ def test_slow_loop_may_be_late_by_three_periods() -> None:
 
 @pytest.mark.parametrize("late", [0.012, 0.06, 0.4], ids=lambda each: f"{1000 * each:.0f} ms")
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_rare_set_points_keep_arm_on_trajectory(firmware: Firmware, late: float) -> None:
+def test_arm_stays_on_trajectory_when_few_set_points_arrive(firmware: Firmware, late: float) -> None:
     """A busy computer with a long watchdog sends few set-points; the arm still stays on its path.
 
     Most of the time, the program coasts, at the right speed and only briefly. The fewer set-points arrive, the slower
@@ -557,7 +560,7 @@ def test_rare_set_points_keep_arm_on_trajectory(firmware: Firmware, late: float)
 
 
 @pytest.mark.parametrize("firmware", [FIRMWARES[1], pytest.param(NEWEST, marks=pytest.mark.slow)], ids=str)
-def test_experiment_of_original_driver_is_reproduced(firmware: Firmware) -> None:
+def test_lag_experiment_of_the_original_driver_is_reproduced(firmware: Firmware) -> None:
     """Run the program on a simulated arm: wrist 3 to 0 over 1 s, to 1 rad over 3 s and back over 4 s.
 
     The simulated arm lags by half the look-ahead time plus two over the gain. Apart from this lag, it is where it
@@ -573,7 +576,7 @@ def test_experiment_of_original_driver_is_reproduced(firmware: Firmware) -> None
     while not led.is_over:
         setpoint, now = bench.motion.setpoint, bench.cycle * bench.period
         messages = led.step(b"", state(50.0 + now, list(setpoint.q), setpoint.qd[5]), 1000.0 + now)
-        bench.say(messages)
+        bench.deliver(messages)
         times = led.times(50.0 + now)
         assert times is not None
         t = times[1]
@@ -582,7 +585,7 @@ def test_experiment_of_original_driver_is_reproduced(firmware: Firmware) -> None
         assert bench.cycle < 10 * firmware.rate
     assert bench.path[-1] == pytest.approx(turned(0.0), abs=0.01)
     assert np.abs(errors[round(0.1 * firmware.rate) :]).max() < 0.005
-    bench.say(led.farewell)
+    bench.deliver(led.farewell)
     bench.run(firmware.rate)
     assert bench.has_finished
 
@@ -607,10 +610,10 @@ def test_repeated_delays_keep_acceleration_bounded(held: int, answered: tuple[in
             states.append(seen()[0])
             bench.run()
         for each in answered:
-            bench.say(led.step(b"", states[each], seen()[1]))
+            bench.deliver(led.step(b"", states[each], seen()[1]))
         for _ in range(3):
             bench.run()
-            bench.say(led.step(b"", *seen()))
+            bench.deliver(led.step(b"", *seen()))
         assert bench.cycle < 12 * firmware.rate
     way = np.array(bench.path)
     # Without the bound, the acceleration is 250 to 370 rad/s², and the simulated arm makes a protective stop.
@@ -636,7 +639,7 @@ _events = st.tuples(
     st.sampled_from([0.3, 1.0, 2.0, 3.1]),
     st.floats(0.05, 0.95),
 )
-def test_arm_is_never_too_fast_whatever_the_states_report(
+def test_arm_speed_stays_limited_for_any_reported_states(
     happened: list[tuple[int, float, float, float]], firmware: Firmware, speed: float, where: float
 ) -> None:
     """Each set-point is within the reach of the joints in the time, and the arm still arrives."""
@@ -748,13 +751,15 @@ def test_resume_searches_a_limited_part_of_the_trajectory() -> None:
         assert led._nearest(trajectory.sample(place)[0], 2.0) == pytest.approx(found, abs=1e-9)
 
 
-def test_comparison_accounts_for_measured_lag() -> None:
+def test_progress_accounts_for_measured_lag() -> None:
     """The measured lag counts, without the cycles in it that a set-point takes to arrive."""
     led = Follower(WAVE, LOOSE, servoing(NEWEST), 0.1)
-    feeding = Feeding(led)
+    feeding, plain = Feeding(led), Feeding(Follower(WAVE, LOOSE, servoing(NEWEST)))
     for _ in range(100):
         feeding.state()
-        assert led.progress * 2.0 == pytest.approx(led._s - 0.1)
+        plain.state()
+        sent = plain.follower.progress * 2.0 + AHEAD * plain.cycle
+        assert led.progress * 2.0 == pytest.approx(sent - 0.1)
     passed, t = led.times(50.2) or (0.0, 0.0)
     assert passed == pytest.approx(t)
-    assert t == pytest.approx(led._s - 0.1)
+    assert t == pytest.approx(sent - 0.1)

@@ -22,7 +22,7 @@ FIRMWARES = ["3.15", "5.11", "5.25", "10.12"]
 
 
 class Bench:
-    """A controller with one program; `tell` writes a message in each cycle."""
+    """A controller with one program; `write_messages` writes a message in each cycle."""
 
     def __init__(self, firmware: str) -> None:
         self.controller = Controller(None, firmware, motion=Still(), noise=False)
@@ -48,7 +48,9 @@ class Bench:
     def take(self, body: Sequence[str]) -> None:
         self.controller.take(program("tried", body, None).text)
 
-    def tell(self, values: Sequence[float], seconds: float, mode: int = FOLLOW, *, date: int | None = None) -> None:
+    def write_messages(
+        self, values: Sequence[float], seconds: float, mode: int = FOLLOW, *, date: int | None = None
+    ) -> None:
         """Write a new message in each cycle, with the date of that cycle or an older date."""
         inputs = self.controller.registers.inputs
         inputs.integers[LINK.proof] = LINK.token
@@ -86,12 +88,12 @@ def pressing(firmware: str) -> Bench:
 )
 def test_force_mode_presses_until_program_ends(firmware: str, way: str) -> None:
     bench = pressing(firmware)
-    bench.tell([0, 0, -10.0, 0, 0, 0], 0.8)
+    bench.write_messages([0, 0, -10.0, 0, 0, 0], 0.8)
     assert bench.controller.arm.wrench[2] == pytest.approx(10.0, abs=0.5)
-    bench.tell([0, 0, -20.0, 0, 0, 0], 0.4)
+    bench.write_messages([0, 0, -20.0, 0, 0, 0], 0.4)
     assert bench.controller.arm.wrench[2] == pytest.approx(20.0, abs=0.5)
     if way == "stopped":
-        bench.tell([0.0] * 6, 0.5, STOP)
+        bench.write_messages([0.0] * 6, 0.5, STOP)
     elif way == "silent":
         # The mode continues for the time of the watchdog.
         bench.silent(0.15)
@@ -114,9 +116,9 @@ def test_freedrive_lasts_while_messages_arrive(firmware: str) -> None:
     bench = Bench(firmware)
     axes = [True, False, True, False, False, False] if bench.firmware >= (5, 10) else None
     bench.take(force_control.freedrive(bench.firmware, LINK, axes, [0.0] * 6, watchdog=0.2))
-    bench.tell([0.0] * 6, 0.1)
+    bench.write_messages([0.0] * 6, 0.1)
     bench.controller.push([0, 0, 10.0, 0, 0, 0])
-    bench.tell([0.0] * 6, 0.5)
+    bench.write_messages([0.0] * 6, 0.5)
     assert bench.pose[2] - bench.start[2] > 0.005
     bench.silent(0.4)
     assert not bench.is_running
@@ -135,12 +137,12 @@ def test_old_messages_do_not_feed_watchdog(firmware: str, kind: str) -> None:
     else:
         bench, wrench = Bench(firmware), [0.0] * 6
         bench.take(force_control.freedrive(bench.firmware, LINK, None, [0.0] * 6, watchdog=0.2))
-    bench.tell(wrench, 0.5)
+    bench.write_messages(wrench, 0.5)
     # Because of jitter, messages may be late by the watchdog's time. After the same time again, the mode ends.
     first = bench.date
     running = []
     for seconds in (0.35, 0.25):
-        bench.tell(wrench, seconds, date=first)
+        bench.write_messages(wrench, seconds, date=first)
         running.append(bench.is_running)
     assert running == [True, False]
     bench.controller.push([0, 0, 30.0, 0, 0, 0])
@@ -150,11 +152,11 @@ def test_old_messages_do_not_feed_watchdog(firmware: str, kind: str) -> None:
 
 
 @pytest.mark.parametrize("firmware", ["5.25"])
-def test_torques_move_arm_and_fade(firmware: str) -> None:
+def test_torques_move_the_arm_and_fade_without_messages(firmware: str) -> None:
     bench = Bench(firmware)
     bench.take(force_control.torque(bench.firmware, LINK, friction_compensation=True, watchdog=0.05))
-    bench.tell([0, 0, 0, 0, 0, 0], 0.05)
-    bench.tell([0, 0, 0, 0, 0, 0.5], 0.2)
+    bench.write_messages([0, 0, 0, 0, 0, 0], 0.05)
+    bench.write_messages([0, 0, 0, 0, 0, 0.5], 0.2)
     assert bench.controller.arm.setpoint.qd[5] > 0.1
     bench.silent(0.5)
     assert not bench.is_running
@@ -190,7 +192,7 @@ def test_motion_stops_after_distance_without_contact() -> None:
 
 
 @pytest.mark.parametrize("text", ["urlink: contact ", "urlink: contact [1,2]", "urlink: contact [a,b,c,d,e,f]", "else"])
-def test_contact_of_invalid_text_is_none(text: str) -> None:
+def test_invalid_contact_message_gives_no_contact(text: str) -> None:
     assert force_control.contact_of(text) is None
 
 
@@ -212,13 +214,13 @@ def test_programs_compile_with_socket_link(firmware: str) -> None:
         assert body.index(f"  {end}") < body.index("  stopj(4.0)")
 
 
-def test_kept_message_is_repeated_until_muted() -> None:
-    told = KeptMessage(lambda link: [])
+def test_kept_message_is_sent_with_each_state_until_muted() -> None:
+    dialogue = KeptMessage(lambda link: [])
     state = RealtimeState(Firmware(5, 11))
-    assert told.step(b"", state, 0.0) == WAIT_MESSAGE
-    told.values = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    assert dialogue.step(b"", state, 0.0) == WAIT_MESSAGE
+    dialogue.values = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
     for _ in range(2):
-        assert read_message(told.step(b"", state, 0.0))[0] == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
-    told.is_mute = True
-    assert told.step(b"", state, 0.0) == b""
-    assert told.farewell == STOP_MESSAGE
+        assert read_message(dialogue.step(b"", state, 0.0))[0] == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    dialogue.is_mute = True
+    assert dialogue.step(b"", state, 0.0) == b""
+    assert dialogue.farewell == STOP_MESSAGE

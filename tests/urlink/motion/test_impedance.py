@@ -83,7 +83,7 @@ class Soft(Bench):
     def _say(self, first: Sequence[float], second: Sequence[float], seconds: float, mode: int = FOLLOW) -> None:
         for i, value in enumerate(second):
             self.controller.registers.inputs.floats[LINK.first_float + 6 + i] = value
-        self.tell(first, seconds, mode)
+        self.write_messages(first, seconds, mode)
 
     def go(self, seconds: float = 0.002) -> None:
         """Keep the target for some time."""
@@ -123,7 +123,7 @@ def turned(q: FloatArray, angle: float) -> FloatArray:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("axis", range(6))
-def test_wrench_moves_arm_by_compliance_of_springs(axis: int) -> None:
+def test_displacement_of_joints_is_torque_divided_by_stiffness(axis: int) -> None:
     soft = Soft()
     wrench = [0.0] * 6
     wrench[axis] = 15.0 if axis < 3 else 2.0
@@ -177,7 +177,7 @@ def test_gains_change_without_jump() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.1, 0.3, 1.0])
-def test_swing_matches_damping_ratio(ratio: float) -> None:
+def test_oscillation_of_joints_matches_the_damping_ratio(ratio: float) -> None:
     """Release the base 30 mrad from its aim: the damping ratio determines how much each swing shrinks.
 
     The other joints are stiff, so that the arm is one mass. Damping in addition to the ratio is taken into account.
@@ -265,7 +265,7 @@ def test_motion_to_target_follows_speed_slider() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("gap", [0.2, 0.4])
-def test_messages_may_be_missing_for_watchdog_time(gap: float) -> None:
+def test_impedance_continues_without_messages_for_watchdog_time(gap: float) -> None:
     soft = Soft()
     soft.lead(turned(soft.q, 0.2), 0.05)
     soft.silent(gap)

@@ -35,17 +35,17 @@ def test_gains_and_posture_are_repeated_among_targets() -> None:
     """A message might be lost, because a register holds only the newest one."""
     messages = made()
     messages.lead([0.3] * 6, READY)
-    told = sent(messages)
-    kinds = [mode for *_, mode in told]
+    written = sent(messages)
+    kinds = [mode for *_, mode in written]
     assert [kinds.count(mode) for mode in (FOLLOW, GAINS, POSTURE)] == pytest.approx([75, 12, 12], abs=2)
     number = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-    for first, second, mode in told:
+    for first, second, mode in written:
         expected = {FOLLOW: ([0.3] * 6, number), POSTURE: (READY, number), GAINS: ([x / 1e3 for x in GIVEN], RATIOS)}
         assert [*first, *second] == pytest.approx([*expected[mode][0], *expected[mode][1]])
 
 
 @pytest.mark.parametrize("has_posture", [False, True])
-def test_only_gains_are_sent_among_targets_without_posture(has_posture: bool) -> None:
+def test_gains_without_posture_are_sent_among_targets(has_posture: bool) -> None:
     """There is no posture before the first target, or if the program does not support one."""
     messages = made(has_posture=has_posture)
     if not has_posture:
@@ -63,8 +63,8 @@ def test_targets_are_numbered_from_one_to_a_thousand() -> None:
     for count in range(1, 1003):
         messages.lead([count / 1000.0] * 6, None)
         assert messages.target == [count / 1000.0] * 6
-        told = next(each for each in sent(messages, 3) if each[2] == FOLLOW)
-        assert told[1][0] == (count - 1) % 1000 + 1
+        written = next(each for each in sent(messages, 3) if each[2] == FOLLOW)
+        assert written[1][0] == (count - 1) % 1000 + 1
 
 
 @pytest.mark.parametrize(("arm", "is_taken"), [("UR5e", False), (None, True)])

@@ -23,6 +23,7 @@ from urlink.errors import ProgramStopped, SafetyStop
 from urlink.motion import Jog
 from urlink.motion.links.messages import STOP_MESSAGE, WAIT_MESSAGE, read_message, setpoint
 from urlink.motion.servo.jog import FULL_SPEED, FrameName, _Holding
+from urlink.motion.servo.linked_program import LinkedProgram
 from urlink.protocol.enums import SafetyMode
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState
@@ -60,19 +61,19 @@ class TestMessages:
         with opened(robot, timeout=0.1) as jog:
             moved = robot.time
             jog.move([0.1, 0, 0, 0, 0, -0.2])
-            told = answers(robot)
+            answered = answers(robot)
             lasted = 0
-            while (speeds := next(told)) != _REST:
+            while (speeds := next(answered)) != _REST:
                 assert speeds == pytest.approx([0.1, 0, 0, 0, 0, -0.2])
                 lasted += 1
             # 50 states, and possibly one more before the program follows.
             assert 0 < lasted <= 51
             assert robot.time - moved > 0.1 - robot.cycle
             jog.move([0, 0.3, 0, 0, 0, 0])
-            assert next(each for each in told if each != _REST) == pytest.approx([0, 0.3, 0, 0, 0, 0])
+            assert next(each for each in answered if each != _REST) == pytest.approx([0, 0.3, 0, 0, 0, 0])
             stopped = robot.time
             jog.stop()
-            assert next(each for each in told if each[1] != pytest.approx(0.3)) == _REST
+            assert next(each for each in answered if each[1] != pytest.approx(0.3)) == _REST
             assert robot.time - stopped < 0.05  # before the speed would have lapsed
         assert jog.phase is Phase.CANCELLED
         while (message := robot.message()) is not None and message[1] != STOP:
@@ -127,12 +128,12 @@ class TestMessages:
 
     @pytest.mark.parametrize("frame", get_args(FrameName))
     @pytest.mark.simulated_time
-    def test_speed_expires_in_every_frame(self, robot: Rehearsal, frame: FrameName) -> None:
+    def test_speed_expires_in_every_frame(self, robot: Rehearsal, dialogues: list[Any], frame: FrameName) -> None:
         with opened(robot, frame, timeout=0.25) as jog:
             jog.move([0.1] * 6)
-            told, state = jog._context.clock(), jog._context.state()
-            for now, is_held in ((told, True), (told + 0.25, True), (np.nextafter(told + 0.25, 999), False)):
-                speeds = np.array(read_message(jog._dialogue.step(b"", state, now))[0])
+            then, state = robot.context.clock(), robot.context.state()
+            for now, is_held in ((then, True), (then + 0.25, True), (np.nextafter(then + 0.25, 999), False)):
+                speeds = np.array(read_message(dialogues[0].step(b"", state, now))[0])
                 # A rotation between frames keeps the length of both halves.
                 lengths = np.linalg.norm(speeds.reshape(2, 3), axis=1)
                 assert lengths == pytest.approx([0.1 * math.sqrt(3) if is_held else 0.0] * 2)
@@ -163,11 +164,11 @@ class TestMessages:
 
 @pytest.mark.simulated_time
 def test_ctrl_c_while_a_block_ends_stops_the_arm(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted() -> None:
+    def interrupted(program: LinkedProgram) -> None:
         raise KeyboardInterrupt
 
     with opened(robot) as jog:
-        monkeypatch.setattr(jog._program, "finish", interrupted)
+        monkeypatch.setattr(LinkedProgram, "finish", interrupted)
         with pytest.raises(KeyboardInterrupt):
             jog.__exit__(None, None, None)
         assert isinstance(jog.error, Cancelled)
@@ -182,10 +183,10 @@ class TestHeldSpeeds:
         assert motion.progress == 0.0
         assert "speedj(" in robot.uploaded
         robot.connect()
-        began, told = robot.time, answers(robot)
-        assert next(told) == pytest.approx([0.3, 0, 0, 0, 0, 0])
+        began, answered = robot.time, answers(robot)
+        assert next(answered) == pytest.approx([0.3, 0, 0, 0, 0, 0])
         robot.time = began + 0.3
-        assert next(told) == pytest.approx([0.3, 0, 0, 0, 0, 0])
+        assert next(answered) == pytest.approx([0.3, 0, 0, 0, 0, 0])
         assert 0.4 < motion.progress < 0.6
         while (message := robot.obey()) is not None and message[1] != STOP:
             assert robot.time - began < 0.8
@@ -197,11 +198,11 @@ class TestHeldSpeeds:
     def test_next_call_changes_speed_without_another_program(self, robot: Rehearsal) -> None:
         motion = robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=3600.0)
         robot.connect()
-        told = answers(robot)
-        next(told)
+        answered = answers(robot)
+        next(answered)
         sent = len(robot.sent)
         assert robot.motion.speed_joints([0, 0.2, 0, 0, 0, 0], duration=0.5) is motion
-        assert next(each for each in told if each[0] == 0.0) == pytest.approx([0, 0.2, 0, 0, 0, 0])
+        assert next(each for each in answered if each[0] == 0.0) == pytest.approx([0, 0.2, 0, 0, 0, 0])
         assert len(robot.sent) == sent
         robot.time += 0.5
         while (message := robot.obey()) is not None and message[1] != STOP:
@@ -219,7 +220,9 @@ class TestHeldSpeeds:
         ids=["acceleration", "tool", "short"],
     )
     @pytest.mark.real_time
-    def test_some_changes_need_another_program(self, robot: Rehearsal, other: Callable[[Any], Motion]) -> None:
+    def test_speed_call_that_cannot_change_the_motion_preempts_it(
+        self, robot: Rehearsal, other: Callable[[Any], Motion]
+    ) -> None:
         motion = robot.motion.speed_joints([0.3, 0, 0, 0, 0, 0], duration=5.0)
         robot.connect()
         next(answers(robot))
@@ -290,13 +293,13 @@ def test_full_speed_equals_vendor_defaults() -> None:
 def bench(firmware: Firmware, is_tool: bool = False) -> Bench:
     program = jogging(firmware, ReverseSocket("10.0.0.1", 50001, 7), is_tool=is_tool, acceleration=2.0, watchdog=0.1)
     made = Bench(program, firmware)
-    made.run(3, lambda: made.say(WAIT_MESSAGE))
+    made.run(3, lambda: made.deliver(WAIT_MESSAGE))
     assert made.path[-1] == list(HOME)
     return made
 
 
-def told(bench: Bench, speeds: list[float], seconds: float) -> None:
-    bench.run(round(seconds / bench.period), lambda: bench.say(setpoint(speeds, _REST)))
+def send_speeds(bench: Bench, speeds: list[float], seconds: float) -> None:
+    bench.run(round(seconds / bench.period), lambda: bench.deliver(setpoint(speeds, _REST)))
 
 
 @pytest.mark.parametrize("firmware", _FIRMWARES, ids=str)
@@ -304,11 +307,11 @@ class TestProgram:
     def test_speed_changes_at_limited_acceleration(self, firmware: Firmware) -> None:
         jogged = bench(firmware)
         for speed in (0.4, -0.4, 0.0):
-            told(jogged, [0, 0, 0, 0, 0, speed], 0.6)
+            send_speeds(jogged, [0, 0, 0, 0, 0, speed], 0.6)
             assert jogged.motion.setpoint.qd[5] == pytest.approx(speed, abs=1e-9)
         speeds = np.diff(np.array(jogged.path)[:, 5]) / jogged.period
         assert np.abs(np.diff(speeds)).max() / jogged.period <= 2.0 + 1e-6
-        jogged.say(STOP_MESSAGE)
+        jogged.deliver(STOP_MESSAGE)
         jogged.run(firmware.rate // 5)
         assert jogged.has_finished
         assert jogged.said == []
@@ -316,7 +319,7 @@ class TestProgram:
     def test_program_brakes_without_messages(self, firmware: Firmware) -> None:
         starved, cut = bench(firmware), bench(firmware)
         for jogged, text in ((starved, STARVED), (cut, LINK_ENDED)):
-            told(jogged, [0, 0, 0, 0, 0, 0.4], 0.4)
+            send_speeds(jogged, [0, 0, 0, 0, 0, 0.4], 0.4)
             if jogged is cut:
                 jogged.sockets.is_open = False
             jogged.run(round(0.5 / jogged.period))
@@ -332,10 +335,12 @@ def test_tool_moves_in_a_straight_line(firmware: Firmware) -> None:
     jogged = bench(firmware, is_tool=True)
     kinematics = Arm(jogged.model)
     before = kinematics.forward(HOME)
-    told(jogged, [0, 0, -0.1, 0, 0, 0], 0.5)
-    moved = kinematics.forward(jogged.path[-1]) - before
+    send_speeds(jogged, [0, 0, -0.1, 0, 0, 0], 0.5)
+    after = kinematics.forward(jogged.path[-1])
     # The tool reaches its speed in 0.05 s.
-    assert moved == pytest.approx([0, 0, -0.0475, 0, 0, 0], abs=0.1 * 3 * jogged.period)
+    assert after[:3] - before[:3] == pytest.approx([0, 0, -0.0475], abs=0.1 * 3 * jogged.period)
+    # Compare matrices, because a turn by pi about an axis and about its opposite is the same.
+    assert rotvec_to_matrix(after[3:]) == pytest.approx(rotvec_to_matrix(before[3:]), abs=1e-6)
 
 
 @pytest.mark.simulated_time

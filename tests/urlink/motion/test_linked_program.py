@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import gc
+import time
+import weakref
 from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 from linkcore.errors import BadAddress, ConnectFailed, ConnectionLost, LinkError, LocalError
 from linkcore.handle import Motion, Phase
+from linkcore.streaming.stream import Stream
+from linkcore.streaming.subscription import Subscription
 from tests.fakes.rehearsal import FOLLOW, TIMEOUT, WAIT, Rehearsal
 from tests.waiting import until
+from urlink.command.program_time import Pause
 from urlink.errors import NotRunning, ProgramStopped, SafetyStop, ToleranceExceeded
 from urlink.motion.links.messages import setpoint
+from urlink.motion.servo import linked_program
 from urlink.motion.servo.linked_program import LinkedProgram
 from urlink.motion.servo.setpoints import LinkDialogue
 from urlink.protocol.enums import ProgramState, SafetyMode
@@ -21,6 +29,19 @@ from urlink.protocol.realtime.packets import RealtimeState
 from urlink.script.links import InputRegisters, ReverseSocket
 
 pytestmark = pytest.mark.simulated_time
+
+
+class States:
+    """Stream of the states of a robot that records its subscriptions; `latest` is the newest state that it shows."""
+
+    def __init__(self, stream: Stream[RealtimeState]) -> None:
+        self._stream = stream
+        self.latest: Any = None
+        self.subscriptions: list[Subscription] = []
+
+    def subscribe(self, *arguments: Any, **options: Any) -> Subscription:
+        self.subscriptions.append(self._stream.subscribe(*arguments, **options))
+        return self.subscriptions[-1]
 
 
 class Talk(LinkDialogue):
@@ -43,6 +64,7 @@ class Talk(LinkDialogue):
         self.failure: Exception | None = None
         # the link
         self.opened = 0
+        self.open_link: Callable[[], Talk] = lambda: self
         self.is_up = False
         self.comes_up = True
         self.polls: list[bool] = []
@@ -52,10 +74,22 @@ class Talk(LinkDialogue):
         self.closed: list[bool] = []
         # the program
         self.linked = 0
-        context = replace(robot.motion._context, clock=self._clock)
+        self.states = States(robot.realtime)
+        context = replace(robot.context, clock=self._clock, realtime=cast(Any, self.states))
         self.life = context.programs.life("talk")
         self.motion = Motion(self.life)
-        self.program = LinkedProgram(self.life, context, self, self._open, on_linked=self._on_linked)
+
+        def on_linked() -> None:
+            self.linked += 1
+
+        self.callback = weakref.ref(on_linked)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(linked_program, "Pause", self._pausing)
+            self.program = LinkedProgram(self.life, context, self, self._open, on_linked=on_linked)
+
+    def _pausing(self, name: str, tolerance: float) -> Pause:
+        self.pause = Pause(name, tolerance)
+        return self.pause
 
     def _clock(self) -> float:
         self._looks += 1
@@ -63,10 +97,7 @@ class Talk(LinkDialogue):
 
     def _open(self) -> Talk:
         self.opened += 1
-        return self
-
-    def _on_linked(self) -> None:
-        self.linked += 1
+        return self.open_link()
 
     # -- as a dialogue -----------------------------------------------------------------------------------
 
@@ -171,7 +202,7 @@ def test_missing_connection_raises_connect_failed(talk: Talk) -> None:
 
 
 @pytest.mark.parametrize("is_told", [True, False])
-def test_program_has_a_second_to_end_after_farewell(talk: Talk, is_told: bool) -> None:
+def test_program_has_one_second_to_end_after_the_end_message(talk: Talk, is_told: bool) -> None:
     talk.begin().look(3.0)
     assert not talk.program.is_finishing
     talk.is_over = True
@@ -189,7 +220,7 @@ def test_program_has_a_second_to_end_after_farewell(talk: Talk, is_told: bool) -
     assert talk.closed == [True]
 
 
-def test_farewell_is_the_last_message(talk: Talk) -> None:
+def test_no_message_is_sent_after_the_end_message(talk: Talk) -> None:
     """One thread might have composed a message while another thread ends the program."""
     talk.begin()
     talk.program.finish()
@@ -199,7 +230,7 @@ def test_farewell_is_the_last_message(talk: Talk) -> None:
     talk.motion.wait(TIMEOUT)
 
 
-def test_messages_of_program_after_farewell_are_ignored(talk: Talk) -> None:
+def test_messages_of_program_after_the_end_message_are_ignored(talk: Talk) -> None:
     talk.begin()
     talk.program.finish()
     talk.robot.text("urlink: nothing to go to")
@@ -208,7 +239,7 @@ def test_messages_of_program_after_farewell_are_ignored(talk: Talk) -> None:
     talk.motion.wait(TIMEOUT)
 
 
-def test_program_without_farewell_is_stopped(robot: Rehearsal) -> None:
+def test_program_without_an_end_message_is_stopped(robot: Rehearsal) -> None:
     talk = Talk(robot, farewell=b"").begin()
     talk.program.finish()
     assert b"" not in talk.said
@@ -221,7 +252,7 @@ def test_program_without_farewell_is_stopped(robot: Rehearsal) -> None:
     assert [b"" in other.said, other.closed] == [False, [False]]
 
 
-def test_loss_is_reported_after_a_second_without_reason(talk: Talk) -> None:
+def test_lost_connection_without_reason_fails_after_a_second(talk: Talk) -> None:
     talk.begin()
     talk.loss = ConnectionLost("first")
     talk.look()
@@ -238,7 +269,7 @@ def test_loss_is_reported_after_a_second_without_reason(talk: Talk) -> None:
     assert not any("stopj" in text for text in talk.robot.sent)
 
 
-def test_safety_stop_is_reported_instead_of_loss(talk: Talk) -> None:
+def test_safety_stop_is_reported_instead_of_a_lost_connection(talk: Talk) -> None:
     talk.begin()
     talk.loss = ConnectionLost("reset")
     talk.look()
@@ -260,7 +291,7 @@ def test_early_program_end_raises_program_stopped(talk: Talk) -> None:
     talk.fails(ProgramStopped, "the program of talk ended unexpectedly")
 
 
-def test_dialogue_can_outlive_program(robot: Rehearsal) -> None:
+def test_linked_dialogue_can_continue_after_its_program_ended(robot: Rehearsal) -> None:
     talk = Talk(robot, survives_its_program=True).begin()
     talk.heard = b"never mind"
     robot.finish()
@@ -282,8 +313,7 @@ def test_dialogue_can_outlive_program(robot: Rehearsal) -> None:
 def test_failing_dialogue_fails_motion(talk: Talk, failure: Exception) -> None:
     talk.begin()
     talk.failure = failure
-    subscription = talk.program._subscription
-    assert subscription is not None
+    (subscription,) = talk.states.subscriptions
     talk.look()
     talk.fails(type(failure), "off")
     assert talk.said[-1] == b"bye"
@@ -322,10 +352,10 @@ def taken() -> Talk:
 @pytest.mark.parametrize(
     ("open_link", "raised", "error"), [(taken, BadAddress, BadAddress), (interrupted, KeyboardInterrupt, LocalError)]
 )
-def test_unavailable_link_fails_motion(
+def test_motion_fails_when_its_link_is_unavailable(
     talk: Talk, open_link: Callable[[], Talk], raised: type[BaseException], error: type[Exception]
 ) -> None:
-    talk.program._open_link = open_link
+    talk.open_link = open_link
     with pytest.raises(raised):
         talk.program.begin()
     assert isinstance(talk.motion.error, error)
@@ -361,7 +391,7 @@ def test_end_does_not_wait_for_reader_thread(talk: Talk, monkeypatch: pytest.Mon
     """The thread that ends the motion might be the thread of the states, or might block it."""
     waited: list[float] = []
     talk.begin()
-    monkeypatch.setattr(talk.program._subscription, "close", waited.append)
+    monkeypatch.setattr(talk.states.subscriptions[0], "close", waited.append)
     talk.motion.cancel()
     assert waited == [0]
 
@@ -390,7 +420,7 @@ def test_messages_contain_cycle_and_number_of_pauses(talk: Talk, monkeypatch: py
     talk.begin()
     assert sent[0][-4:] == bytes(4)
     for pauses in range(3):
-        talk.program._pause.count = pauses
+        talk.pause.count = pauses
         before = int.from_bytes(sent[-1][-4:], "big")
         talk.look(0.1)
         date = int.from_bytes(sent[-1][-4:], "big")
@@ -407,8 +437,9 @@ def test_loop_messages_are_dropped_after_silence(talk: Talk, silence: float, say
     Therefore, nothing is sent after the time of the watchdog, and after twice that time the motion ends.
     """
     talk.begin()
+    time.sleep(0.1)  # simulated time passes only when all states were processed
     said = len(talk.said)
-    talk.program._seen = talk.now - silence
+    talk.now += silence
     if says is None:
         with pytest.raises(
             ConnectionLost, match=r"no state for 0\.25 s, more than twice watchdog=0\.125 s, .*larger watchdog="
@@ -424,19 +455,18 @@ def test_loop_messages_are_dropped_after_silence(talk: Talk, silence: float, say
 def test_loop_messages_are_dropped_during_pause(talk: Talk) -> None:
     talk.begin()
     said = len(talk.said)
-    talk.program._pause.holds = True
-    talk.program._seen = talk.now
+    talk.pause.holds = True
     talk.program.feed(b"mine", 0.125)
     assert len(talk.said) == said
 
 
 @pytest.mark.parametrize("state", [ProgramState.PAUSING, ProgramState.PAUSED, ProgramState.PLAYING])
-def test_pause_is_detected_in_unprocessed_state(talk: Talk, state: ProgramState) -> None:
-    """The user's loop might get the state before the thread that answers states."""
-    context, found = talk.program._context, []
+def test_pause_is_detected_in_a_state_not_processed_yet(talk: Talk, state: ProgramState) -> None:
+    """The user's loop might receive a state before the thread that replies to states does."""
+    found = []
     for latest, holds in ((None, False), (SimpleNamespace(program_state=state), False), (None, True)):
-        talk.program._context = replace(context, realtime=SimpleNamespace(latest=latest))  # type: ignore[arg-type]
-        talk.program._pause.holds = holds
+        talk.states.latest = latest
+        talk.pause.holds = holds
         found.append(talk.program.is_paused)
     assert found == [False, state is not ProgramState.PLAYING, True]
 
@@ -445,16 +475,17 @@ def test_dialogue_resumes_once_after_pause(talk: Talk, monkeypatch: pytest.Monke
     resumed: list[float] = []
     monkeypatch.setattr(talk, "resume", lambda state: resumed.append(len(talk.steps)))
     talk.begin()
-    talk.program._pause.is_over = True
+    talk.pause.is_over = True
     talk.look()
     talk.look()
     assert len(resumed) == 1
-    assert not talk.program._pause.is_over
+    assert not talk.pause.is_over
 
 
-def test_link_callback_is_released_at_end(talk: Talk) -> None:
+def test_link_callback_is_removed_when_the_program_ends(talk: Talk) -> None:
     """The callback refers to the handle, and the handle refers to the program."""
-    talk.begin().motion.cancel()
-    linked = talk.linked
-    talk.program._on_linked()
-    assert talk.linked == linked
+    talk.begin()
+    assert talk.callback() is not None
+    talk.motion.cancel()
+    gc.collect()
+    assert talk.callback() is None

@@ -62,16 +62,16 @@ def test_motion_sends_one_program_and_ends_with_program(
     assert not motion.done
     assert phase_of(motion) is Phase.SENT
     assert [robot.motion.current] == [motion]
-    told: list[Motion] = []
-    motion.add_done_callback(told.append)
+    notified: list[Motion] = []
+    motion.add_done_callback(notified.append)
     robot.begin()
     until(lambda: phase_of(motion) is Phase.RUNNING)
     robot.finish()
     motion.wait(TIMEOUT)
     assert (phase_of(motion), motion.error, motion.progress) == (Phase.DONE, None, 1.0)
-    until(lambda: told == [motion])
-    motion.add_done_callback(told.append)
-    until(lambda: told == [motion, motion])
+    until(lambda: notified == [motion])
+    motion.add_done_callback(notified.append)
+    until(lambda: notified == [motion, motion])
     sent = len(robot.sent)
     motion.cancel()
     assert phase_of(motion) is Phase.DONE
@@ -153,7 +153,7 @@ def test_program_starts_at_once_without_permission_place(rehearsal: Callable[...
     motion = robot.motion.move_joints(HOME)
     assert "urlink_cycles" not in robot.sent[0]
     robot.until(lambda: motion.done)
-    with pytest.raises(LinkTimeout, match="if it begins later, the arm may still move"):
+    with pytest.raises(LinkTimeout, match="if it begins later, the arm might still move"):
         motion.wait(0)
 
 
@@ -327,7 +327,7 @@ def test_safety_stop_ends_motion_at_once(robot: Rehearsal) -> None:
 @pytest.mark.parametrize(
     ("move", "left"),
     [
-        (lambda r: r.motion.move_joints(HOME), "the arm may still move until the motion ends"),
+        (lambda r: r.motion.move_joints(HOME), "the arm might still move until the motion ends"),
         (
             lambda r: r.motion.speed_joints([0.1] * 6, duration=0.3),
             "the arm brakes on its own 0.3 s after the motion started",

@@ -37,7 +37,7 @@ CELL = "192.168.0.100"
 def test_late_messages_are_obeyed_within_watchdog_time(firmware: Firmware, late: float) -> None:
     """Some states reach this computer late, by nearly the time of the watchdog, and others immediately."""
     bench = Bench(streaming(firmware, LINK, speeds=[3.0] * 6, watchdog=WATCHDOG), firmware)
-    bench.run(5, lambda: bench.say(WAIT_MESSAGE))
+    bench.run(5, lambda: bench.deliver(WAIT_MESSAGE))
     begin, most = bench.cycle, round(late * firmware.rate)
 
     def feed() -> None:
@@ -53,7 +53,7 @@ def test_late_messages_are_obeyed_within_watchdog_time(firmware: Firmware, late:
 @pytest.mark.parametrize("firmware", [*map(Firmware.parse, FIRMWARES)], ids=str)
 def test_old_set_points_are_followed_for_one_watchdog_time(firmware: Firmware) -> None:
     bench = Bench(streaming(firmware, LINK, speeds=[3.0] * 6, watchdog=WATCHDOG), firmware)
-    bench.run(5, lambda: bench.say(WAIT_MESSAGE))
+    bench.run(5, lambda: bench.deliver(WAIT_MESSAGE))
     last = bench.cycle  # cycle of the last state before the controller hung
 
     def feed() -> None:
@@ -74,7 +74,7 @@ def test_old_speeds_are_obeyed_for_one_watchdog_time(version: str) -> None:
     firmware = Firmware.parse(version)
     body = jogging(firmware, LINK, is_tool=False, acceleration=5.0, watchdog=WATCHDOG)
     bench = Bench(body, firmware)
-    bench.run(5, lambda: bench.say(WAIT_MESSAGE))
+    bench.run(5, lambda: bench.deliver(WAIT_MESSAGE))
     last, before = bench.cycle, bench.q_actual[5]
 
     def feed() -> None:
@@ -90,8 +90,8 @@ def test_old_speeds_are_obeyed_for_one_watchdog_time(version: str) -> None:
 def followed(firmware: Firmware, watchdog: float) -> Bench:
     """Return a program that has received a set-point in each cycle for a fifth of a second."""
     bench = Bench(streaming(firmware, LINK, speeds=[3.0] * 6, watchdog=watchdog), firmware)
-    bench.run(5, lambda: bench.say(WAIT_MESSAGE))
-    bench.run(firmware.rate // 5, lambda: bench.say(setpoint(turned(0.0), STILL)))
+    bench.run(5, lambda: bench.deliver(WAIT_MESSAGE))
+    bench.run(firmware.rate // 5, lambda: bench.deliver(setpoint(turned(0.0), STILL)))
     return bench
 
 
@@ -124,7 +124,7 @@ def test_closed_connection_ends_program_at_once(firmware: Firmware, watchdog: fl
 def test_program_without_first_set_point_ends(watchdog: float) -> None:
     firmware = Firmware(5, 11)
     bench = Bench(streaming(firmware, LINK, speeds=[3.0] * 6, watchdog=watchdog), firmware)
-    bench.run(5, lambda: bench.say(WAIT_MESSAGE))
+    bench.run(5, lambda: bench.deliver(WAIT_MESSAGE))
     bench.run(round(max(watchdog, 2.0) + 2.0) * firmware.rate)
     assert bench.said == [LINK_ENDED]
     assert bench.execution.is_over
@@ -163,8 +163,8 @@ def test_old_messages_end_compliant_mode(version: str, kind: str) -> None:
         body = freedrive(firmware, LINK, None, STILL, watchdog=WATCHDOG)
     bench = Compliant(body, firmware)
     message = setpoint([0.0, 0.0, -10.0, 0.0, 0.0, 0.0], STILL)
-    bench.run(5, lambda: bench.say(WAIT_MESSAGE))
-    bench.run(firmware.rate, lambda: bench.say(message))
+    bench.run(5, lambda: bench.deliver(WAIT_MESSAGE))
+    bench.run(firmware.rate, lambda: bench.deliver(message))
     assert list(bench.modes) == [kind]
     last = bench.cycle  # cycle of the last state before the controller hung
 

@@ -86,14 +86,14 @@ REFUSED: list[tuple[list[Waypoint], str]] = [
     ([Linear(moved(z=0.1), blend=0.01)], "waypoint 0 is the last"),
     ([Joint(READY), Joint([7.0, *READY[1:]])], r"waypoint 1: q\[0\] \(base\) is 7 rad"),
     ([Joint(READY, speed=4.0)], "waypoint 0: speed is 4 rad/s"),
-    ([Linear(moved(x=-3.0))], "waypoint 0: the path to it is out of reach: a UR5e cannot bring its tool to"),
+    ([Linear(moved(x=-3.0))], "waypoint 0: the path to this waypoint is out of reach: a UR5e cannot bring its tool to"),
     # The end can be reached, but the path to it leads through the base.
     ([Linear(compose([0, 0, 0, 0, 0, math.pi], moved()))], "out of reach: .* from the axis of the base"),
     (
         [Linear(moved(z=0.1), blend=0.06), Linear(moved(y=0.1, z=0.1), blend=0.05), Joint(READY)],
-        r"waypoint 1: blends of 0.06 m at its beginning and 0.05 m at its end do not fit on a path of 0.1 m",
+        r"waypoint 1: blends of 0.06 m at the beginning and 0.05 m at the end do not fit on a segment of 0.1 m",
     ),
-    ([Joint(READY, blend=0.01), Linear(moved(z=0.1))], "do not fit on a path of 0 m"),
+    ([Joint(READY, blend=0.01), Linear(moved(z=0.1))], "do not fit on a segment of 0 m"),
     ([Circular(moved(z=0.05), moved(z=0.1))], "waypoint 0: .* are on a straight line"),
 ]
 
@@ -117,7 +117,7 @@ def test_waypoint_options_are_limited_to_ranges() -> None:
             Joint(READY, **bad)
 
 
-def test_waypoint_with_options_has_separate_motion() -> None:
+def test_waypoint_with_options_becomes_a_separate_movement() -> None:
     assert not Joint(READY).has_motion_of_its_own
     for own in ({"blend": 0.1}, {"speed": 0.1}, {"acceleration": 0.1}):
         assert Joint(READY, **own).has_motion_of_its_own
@@ -197,7 +197,7 @@ def test_blend_makes_path_fast_at_start_or_end() -> None:
                 plan(waypoints, JOINT_RATES, rates, ARM, state)
 
 
-def test_joint_movement_without_distance_is_complete() -> None:
+def test_progress_of_joint_movement_without_distance_is_1() -> None:
     (section,) = planned([Joint(READY)]).sections
     assert (section.seconds, section.part(state_at(READY))) == (0.0, 1.0)
 
@@ -217,7 +217,7 @@ def test_path_is_sampled_with_limited_step_and_count() -> None:
     assert len(arm.poses) == 2001
 
 
-def test_duration_from_rest_to_rest() -> None:
+def test_duration_includes_acceleration_from_rest_and_braking() -> None:
     assert Rates(0.5, 2.0).seconds(1.0) == pytest.approx(2.0 + 0.25)
     assert Rates(0.5, 2.0).seconds(0.08) == pytest.approx(2.0 * 0.2)
     assert Rates(2.0, 1.0).seconds(3.0) == pytest.approx(2.0 * math.sqrt(3.0))
@@ -235,7 +235,9 @@ def test_duration_from_rest_to_rest() -> None:
         (True, True, [3, 3, 3, 3]),
     ],
 )
-def test_speed_of_tool_along_path(is_fast_at_start: bool, is_fast_at_end: bool, speeds: list[float]) -> None:
+def test_tool_speed_along_path_follows_from_its_acceleration(
+    is_fast_at_start: bool, is_fast_at_end: bool, speeds: list[float]
+) -> None:
     """At 2 m/s², the speed is 2 m/s after one metre, the middle of the first of four steps, and 3 m/s after 2.25 m."""
     found = path._speed_along(8.0, Rates(3.0, 2.0), 4, is_fast_at_start, is_fast_at_end)
     assert found[:, 0] == pytest.approx(speeds)

@@ -297,7 +297,7 @@ def test_set_point_advanced_in_pause_is_rejected(cell: Callable[[str, str], Cell
         one.path.clear()
         pressed(one, pendant.play)
         time.sleep(0.05)
-        with pytest.raises(BadValue, match="from where the arm is"):
+        with pytest.raises(BadValue, match="from the position of the arm"):
             servo.send([*READY[:5], 0.4])
     assert np.ptp(np.array(one.path)[:, 5]) < REST
 
@@ -336,7 +336,7 @@ def test_arm_moved_after_pendant_stop_is_not_moved_back(cell: Callable[[str, str
     there = comes_to_rest(one)
     assert np.abs(there - here).max() > 0.1
     for refused in (curve(), Trajectory.from_arrays([0.0, 1.0], np.array([here, READY]))):
-        with pytest.raises(BadValue, match="too far from where the arm is"):
+        with pytest.raises(BadValue, match="too far from the position of the arm"):
             one.robot.motion.follow(refused, **options)
     assert moved_after(one, lambda: None, 0.5) < REST
     one.path.clear()
@@ -375,7 +375,7 @@ def test_program_ignores_old_set_points_after_displacement(version: str) -> None
     bench = Bench(how.body(ReverseSocket("10.0.0.1", 50001, 7)), firmware, READY)
     bench.run(2)
     for _ in range(round(0.5 * firmware.rate)):
-        bench.say(setpoint([*READY[:5], 0.5 * bench.cycle * bench.period], [0.0] * 5 + [0.5]))
+        bench.deliver(setpoint([*READY[:5], 0.5 * bench.cycle * bench.period], [0.0] * 5 + [0.5]))
         bench.run()
     stale = setpoint([*READY[:5], 0.25], [0.0] * 5 + [0.5])
     there = [*READY[:5], 0.6]

@@ -13,9 +13,11 @@ from linkcore.errors import ConnectFailed, ConnectionLost
 from tests.urlink.motion.streamed import Streamed
 from tests.urlink.motion.test_register_link import FIRMWARES, Inputs, write
 from tests.urlink.motion.test_stream import BESIDE, E_SERIES, wave, waves
-from urlink.motion.links.messages import dated
+from urlink.motion.links import register_link
+from urlink.motion.links.messages import LARGEST
 from urlink.motion.links.register_link import POINT_INPUTS, POINT_OUTPUTS, PointLinks, PointRegisterLink
 from urlink.motion.moves.trajectory import Trajectory
+from urlink.motion.stream import stream_feed
 from urlink.motion.stream.stream_feed import StreamFeed
 from urlink.protocol.firmware import Firmware
 from urlink.script import links
@@ -40,8 +42,7 @@ class Registered(Streamed):
     def run(self, cycles: int = 1, *, is_frozen: bool = False) -> None:
         for _ in range(cycles):
             if not is_frozen:
-                message = self.feed.step(self.link.received(), self.state(), 1000.0 + self.bench.cycle * self.period)
-                self.link.send(dated(message, self.bench.cycle))
+                self.link.send(self.answer(self.link.received()))
             self.bench.run()
 
     def _write(self, package: dict[str, float]) -> None:
@@ -55,7 +56,7 @@ class Registered(Streamed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_set_points_equal_stream_over_connection(firmware: Firmware) -> None:
+def test_set_points_over_registers_equal_those_over_a_connection(firmware: Firmware) -> None:
     """The set-points of each cycle are the same as over a connection, apart from their start."""
     paths = []
     for stream in (Streamed(firmware), Registered(firmware)):
@@ -88,7 +89,7 @@ def test_lost_messages_are_repeated() -> None:
 
 
 @pytest.mark.slow
-def test_tail_is_replaced_and_cleared() -> None:
+def test_last_points_can_be_replaced_and_cleared_over_registers() -> None:
     stream = Registered(E_SERIES)
     stream.append(waves(0.05, 3.0))
     stream.until(lambda: stream.feed.time > 0.5)
@@ -100,7 +101,7 @@ def test_tail_is_replaced_and_cleared() -> None:
     assert stream.feed.starved == 0
 
 
-def test_registers_of_point_streams() -> None:
+def test_point_streams_use_only_their_documented_registers() -> None:
     """Integer inputs 24 to 29 are left to users, and so are outputs below 30 and above 36."""
     assert [name for name in POINT_INPUTS if "int" in name] == [f"input_int_register_{i}" for i in range(30, 44)]
     assert [name for name in POINT_INPUTS if "double" in name] == [f"input_double_register_{i}" for i in range(24, 36)]
@@ -109,11 +110,11 @@ def test_registers_of_point_streams() -> None:
     assert (endpoint.first_float, endpoint.first_integer, endpoint.first_output) == (24, 30, 30)
 
 
-def test_outputs_are_requested_once() -> None:
+def test_point_stream_requests_its_outputs_only_once() -> None:
     """Each link starts them, because the connection might have been closed meanwhile."""
     asked: list[tuple[str, ...]] = []
     started: list[None] = []
-    stream = SimpleNamespace(latest="newest", start=lambda: started.append(None))
+    stream = SimpleNamespace(latest=None, start=lambda: started.append(None))
 
     def outputs(*names: str) -> Any:
         asked.append(names)
@@ -122,38 +123,43 @@ def test_outputs_are_requested_once() -> None:
     links = PointLinks(outputs)
     for count in (1, 2):
         link = links(Inputs(lambda package: None))
-        assert link._outputs() == "newest"
+        stream.latest = SimpleNamespace(**dict(zip(POINT_OUTPUTS, [*range(6), link.endpoint.token], strict=True)))
+        assert link.received() == b"".join(each.to_bytes(4, "big") for each in range(6))
         assert len(started) == count
     assert asked == [POINT_OUTPUTS]
 
 
-def test_message_number_wraps_to_one() -> None:
+def test_message_number_wraps_to_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """The number is never 0, because an unwritten register holds 0."""
     packages: list[dict[str, float]] = []
     link = PointRegisterLink(Inputs(packages.append), lambda: None)
-    link._count = 0x7FFF_FFFE  # as after 49 days at 500 Hz
-    for _ in range(3):
+    assert LARGEST == 0x7FFF_FFFF  # reached after 49 days at 500 Hz
+    monkeypatch.setattr(register_link, "LARGEST", 3)
+    for _ in range(5):
         link.send(StreamFeed.farewell + bytes(4))
-    assert [list(package.values())[12] for package in packages] == [0x7FFF_FFFF, 1, 2]
+    assert [list(package.values())[12] for package in packages] == [1, 2, 3, 1, 2]
 
 
 @pytest.mark.parametrize("after", [1, 60, 100, 101, 102, 110, 400])
-def test_points_and_cuts_work_when_message_number_wraps(after: int) -> None:
+def test_points_and_cuts_are_accepted_when_the_number_wraps(after: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The numbers start again after some messages: before, during and after a cut, or when the stream is dry."""
+    largest = 1000
+    for module in (register_link, stream_feed):
+        monkeypatch.setattr(module, "LARGEST", largest)
     stream = Registered(E_SERIES, lost=0.2)
-    stream.link._count = stream.feed._messages = stream.feed._last_answered = 0x7FFF_FFFF - after
+    stream.run(largest - after - len(stream.sent))
     stream.append(waves(0.05, 0.5))
     stream.run(100)
     stream.replace(0.3, [wave(0.3 + 0.05 * i) for i in range(1, 7)])
     stream.run_dry()
     stream.append(wave(stream.feed.time + 0.5))
     stream.run_dry()
-    assert stream.link._count < 10_000
+    assert stream.bench.registers.inputs.integers[stream.link.endpoint.message] < len(stream.sent)
     assert stream.feed.starved == 2
     assert stream.bench.texts == ["tried started"]
 
 
-def test_outputs_may_be_missing_for_a_second() -> None:
+def test_stream_continues_without_outputs_for_a_second() -> None:
     there: list[Any] = [None]
     now = [8.0]
     link = PointRegisterLink(Inputs(lambda package: None), lambda: there[0], lambda: now[0])

@@ -4,22 +4,33 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import Future
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
-from linkcore.errors import BadValue, Cancelled, Closed, ConnectionLost, LinkTimeout, LocalError
+from linkcore.errors import BadValue, Cancelled, Closed, LinkTimeout, LocalError
+from linkcore.handle import Lifecycle
 from tests.fakes.rehearsal import HOME, Rehearsal, turned
 from tests.urlink.motion.test_blocks import entered
+from tests.urlink.motion.test_group_stream import CALLBACKS
+from tests.urlink.motion.test_group_stream import Stream as MemberStream
+from tests.waiting import until
 from urlink.arm.kinematics import Arm
+from urlink.errors import ProgramStopped
 from urlink.motion import PosePoint
 from urlink.motion.moves.trajectory import Trajectory, TrajectoryPoint
+from urlink.motion.stream import point_stream
 from urlink.motion.stream.common_time import MemberPace
+from urlink.motion.stream.group_motion import GroupStream
 from urlink.motion.stream.stream_feed import StreamFeed
+from urlink.motion.stream.stream_points import PointReader
 from urlink.motion.stream.stream_steps import Aim
+from urlink.script.buffering import MESSAGE
+from urlink.script.links import STOP
 
 pytestmark = pytest.mark.simulated_time
 
@@ -35,7 +46,7 @@ def there(angle: float, t: float) -> TrajectoryPoint:
     ("firmware", "buffer", "capacity"),
     [("5.11", 0.3, 79), ("5.11", 0.5, 129), ("5.11", 10.0, 256), ("3.4", 0.48, 34), ("3.4", 0.05, 7)],
 )
-def test_buffer_determines_number_of_points(
+def test_stream_buffer_time_determines_the_number_of_points(
     rehearsal: Callable[..., Rehearsal], firmware: str, buffer: float, capacity: int
 ) -> None:
     """Points are two cycles apart, and there are at most 256."""
@@ -79,23 +90,45 @@ def test_stream_rejects_calls_outside_block(robot: Rehearsal) -> None:
 
 
 @pytest.fixture
-def stream(robot: Rehearsal) -> Any:
+def feeds(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Feeds of the streams that the test makes; the test may replace their calls."""
+    made: list[Any] = []
+
+    def make(*arguments: Any) -> StreamFeed:
+        made.append(StreamFeed(*arguments))
+        return cast(StreamFeed, made[-1])
+
+    monkeypatch.setattr(point_stream, "StreamFeed", make)
+    return made
+
+
+@pytest.fixture
+def stream(robot: Rehearsal, feeds: list[Any]) -> Any:
     """Stream in its block; no state arrives, so no point is sent."""
     with entered(robot, robot.motion.stream(0.5)) as stream:
-        while not stream._feed.begun.done():
+        while not feeds[0].begun.done():
             robot.show()
         yield stream
 
 
-def test_unsent_points_count_for_end_and_room(stream: Any) -> None:
+def grouped(*streams: Any) -> GroupStream:
+    """Return a stream of several arms, which has these streams."""
+    return GroupStream(Lifecycle("streams", CALLBACKS), streams, [f"arm {i}" for i in range(len(streams))], CALLBACKS)
+
+
+def test_end_and_room_include_points_that_are_not_yet_sent(stream: Any) -> None:
     assert stream.append([there(0.1, 0.4), there(0.2, 0.8)], wait=False) == pytest.approx(-0.3)
     assert (stream.end, stream.time, stream.is_dry) == (0.8, 0.0, False)
     assert stream.buffered == 0.8
     assert stream.room == pytest.approx(-0.3)
 
 
-def test_properties_report_the_feed(stream: Any) -> None:
-    stream._feed = SimpleNamespace(time=3.0, mark=SimpleNamespace(time=2.0), starved=7, is_dry=True)
+def test_stream_properties_return_values_of_the_feed(
+    stream: Any, feeds: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(StreamFeed, "time", 3.0)
+    monkeypatch.setattr(StreamFeed, "is_dry", True)
+    feeds[0].mark, feeds[0].starved = SimpleNamespace(time=2.0), 7
     assert (stream.time, stream.end, stream.buffered, stream.room, stream.starved) == (3.0, 2.0, 0.0, 0.5, 7)
     assert stream.is_dry
 
@@ -107,7 +140,9 @@ def test_properties_report_the_feed(stream: Any) -> None:
         (lambda stream: stream.wait_until_dry(0.7), 0.7, "the stream did not run dry within 0.7 s"),
     ],
 )
-def test_each_wait_times_out(stream: Any, call: Callable[[Any], object], seconds: float, why: str) -> None:
+def test_each_wait_of_a_point_stream_times_out(
+    stream: Any, call: Callable[[Any], object], seconds: float, why: str
+) -> None:
     stream.append(there(0.05, 0.2), wait=False)
     begin = time.monotonic()
     with pytest.raises(LinkTimeout, match=re.escape(why)):
@@ -120,13 +155,15 @@ def test_each_wait_times_out(stream: Any, call: Callable[[Any], object], seconds
     [
         (lambda stream: stream.replace(0.0, there(0.1, 0.4)), "did not confirm the change of its points within 10 s"),
         (lambda stream: stream.clear(), "did not confirm the change of its points within 10 s"),
-        (lambda stream: stream._await_answer(), "the robot did not answer within 10 s"),
+        (lambda stream: grouped(stream).clear(), "the robot did not answer within 10 s"),
     ],
 )
-def test_change_times_out_after_ten_seconds(stream: Any, call: Callable[[Any], object], why: str) -> None:
+def test_stream_change_times_out_after_ten_seconds(
+    stream: Any, feeds: list[Any], call: Callable[[Any], object], why: str
+) -> None:
     never: Future[Any] = Future()
-    stream._feed.replace = lambda since, curve: never
-    stream._feed.answered = lambda: never
+    feeds[0].replace = lambda since, curve: never
+    feeds[0].answered = lambda: never
     begin = time.monotonic()
     with pytest.raises(LinkTimeout, match=why):
         call(stream)
@@ -134,133 +171,187 @@ def test_change_times_out_after_ten_seconds(stream: Any, call: Callable[[Any], o
 
 
 @pytest.mark.parametrize("call", [lambda stream: stream.clear(), lambda stream: stream.wait_until_dry(30.0)])
-def test_calls_time_out_if_arm_does_not_come_to_rest(robot: Rehearsal, call: Callable[[Any], object]) -> None:
+def test_calls_time_out_if_arm_does_not_come_to_rest(
+    robot: Rehearsal, feeds: list[Any], call: Callable[[Any], object]
+) -> None:
     with entered(robot, robot.motion.stream()) as stream:
-        cast(Any, stream)._feed.begun = Future()  # never done, because the arm does not come to rest
+        feeds[0].begun = Future()  # never done, because the arm does not come to rest
         begin = time.monotonic()
         with pytest.raises(LinkTimeout, match="the arm did not come to rest within 10 s"):
             call(stream)
         assert time.monotonic() - begin == pytest.approx(10.0, abs=0.05)
 
 
-def test_clear_replaces_all_and_dry_wait_is_a_minute(stream: Any) -> None:
+@contextmanager
+def one_state_in_half_a_minute(robot: Rehearsal) -> Iterator[None]:
+    """Let the stream run for more than a minute: without a state, it fails after that time."""
+
+    def show() -> None:
+        time.sleep(30.0)
+        robot.tick()
+
+    with ThreadPoolExecutor(1) as other:
+        other.submit(show)
+        yield
+
+
+def test_clear_replaces_all_points_and_wait_dry_waits_a_minute(robot: Rehearsal, stream: Any, feeds: list[Any]) -> None:
     put: list[tuple[float, Sequence[Aim]]] = []
-    waited: list[float] = []
-    stream._put = lambda since, curve: put.append((since, curve))
-    stream._answered = lambda replaced: 0.7
-    stream._await = lambda future, seconds, what: waited.append(seconds)
+    done: Future[float] = Future()
+    done.set_result(0.7)
+
+    def replace(since: float, curve: Sequence[Aim]) -> Future[float]:
+        put.append((since, curve))
+        return done
+
+    feeds[0].replace = replace
     assert stream.clear() == 0.7
     assert put == [(0.0, ())]
-    waited.clear()
-    stream.wait_until_dry()
-    assert waited[-1] == 60.0
+    stream.append(there(0.05, 0.2), wait=False)
+    with one_state_in_half_a_minute(robot), pytest.raises(LinkTimeout, match="did not run dry within 60 s"):
+        stream.wait_until_dry()
     with pytest.raises(BadValue):
         stream.wait_until_dry(float("inf"))
 
 
-def test_append_waits_a_minute_for_room_by_default(stream: Any) -> None:
-    waited: list[float] = []
-    stream._await_room = lambda handed, seconds: waited.append(seconds)
-    stream.append(there(0.1, 0.4))
+def test_append_waits_a_minute_for_room_by_default(robot: Rehearsal, stream: Any) -> None:
+    with one_state_in_half_a_minute(robot), pytest.raises(LinkTimeout, match="had no room for the points within 60 s"):
+        stream.append(there(0.1, 0.4))
+    begin = time.monotonic()
     stream.append(there(0.1, 0.8), wait=False)
-    assert waited == [60.0]
+    assert time.monotonic() - begin < 0.01
 
 
-def test_second_producer_is_rejected(stream: Any) -> None:
-    with stream._producing():
+def test_points_from_a_second_thread_are_rejected(stream: Any) -> None:
+    with ThreadPoolExecutor(1) as other:
+        appending = other.submit(stream.append, there(0.1, 0.4))
+        until(lambda: stream.end == 0.4)  # the other thread waits for room
         with pytest.raises(LocalError, match="only one may do so at once"):
-            stream.append(there(0.1, 0.4))
+            stream.append(there(0.1, 0.8))
         with pytest.raises(LocalError, match="only one may do so at once"):
-            stream.replace(0.0, there(0.1, 0.4))
+            stream.replace(0.0, there(0.1, 0.8))
         stream.clear()  # allowed in any thread
+        assert isinstance(appending.exception(), Cancelled)
     with pytest.raises(BadValue):
         stream.append([])
     stream.append(there(0.1, 0.4), wait=False)
 
 
-def test_points_are_read_again_after_concurrent_clear(stream: Any) -> None:
-    after, read = stream._reader.after, list[float]()
+def test_points_are_planned_again_after_a_concurrent_clear(
+    stream: Any, feeds: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    after, read = PointReader.after, list[float]()
 
-    def clears(points: Any, mark: Any, begins: float) -> Sequence[Aim]:
+    def clears(reader: PointReader, points: Any, mark: Any, begins: float) -> Sequence[Aim]:
         read.append(mark.time)
         if len(read) == 1:
-            stream._feed.skip(2.0)  # an empty stream then has another end
-        return cast(Sequence[Aim], after(points, mark, begins))
+            feeds[0].skip(2.0)  # an empty stream then has another end
+        return after(reader, points, mark, begins)
 
-    stream._reader.after = clears
+    monkeypatch.setattr(PointReader, "after", clears)
     stream.append(there(0.04, 3.0), wait=False)
     assert read == [0.0, 2.0]
     assert stream.end == 3.0
 
 
-def test_trajectory_may_start_later(stream: Any) -> None:
-    """Set the clock forward, as for several arms, because no points are left."""
+def test_trajectory_of_several_arms_may_start_later(stream: Any) -> None:
+    """Set the clock forward, because no points are left, and another arm still has points."""
     path = Trajectory.from_arrays([0, 1], [turned(0.0), turned(0.1)])
-    mark, aims = stream._checked(path, 4.0)
-    assert mark.time == stream.time == 4.0
-    assert [aim.time for aim in aims] == [5.0]
-    mark, aims = stream._checked(path, 3.0)
-    assert mark.time == 4.0
+    other = MemberStream("other", [], end=4.0)
+    grouped(stream, other).append([path, cast(Any, [5.0])], wait=False)
+    assert (stream.time, stream.end) == (4.0, 5.0)
+    other.end = 3.0
+    grouped(stream, other).append([there(0.1, 6.0), cast(Any, [6.0])], wait=False)
+    assert (stream.time, stream.end) == (4.0, 6.0)
 
 
-def test_pose_is_reached_with_current_tool(stream: Any) -> None:
+def test_pose_is_reached_with_current_tool(stream: Any, feeds: list[Any]) -> None:
     q = turned(0.1)
-    (point,) = stream._checked(PosePoint(Arm("UR5e").forward(q), 1.0))[1]
-    assert point.moment.q == pytest.approx(q, abs=1e-6)
-    assert stream._curve(PosePoint(Arm("UR5e").forward(HOME), 1.0), 0.0)[0].moment.q == pytest.approx(HOME, abs=1e-6)
+    stream.append(PosePoint(Arm("UR5e").forward(q), 1.0), wait=False)
+    assert feeds[0].mark.moment.q == pytest.approx(q, abs=1e-6)
+    stream.replace(0.0, PosePoint(Arm("UR5e").forward(HOME), 1.0))
+    assert feeds[0].mark.moment.q == pytest.approx(HOME, abs=1e-6)
 
 
-def test_calls_are_passed_to_the_feed(stream: Any) -> None:
+def test_group_checks_a_change_before_it_is_made(stream: Any, feeds: list[Any]) -> None:
+    """The change begins at the first time that can still be replaced after a hundredth of a second."""
     asked: list[tuple[Any, ...]] = []
-    stream._feed = SimpleNamespace(
-        check=lambda *what: asked.append(("check", *what)),
-        reach=lambda later: later + 1.0,
-        is_answered="known",
-    )
-    stream._check(0.5, ())
-    assert asked == [("check", 0.5, ())]
-    assert stream._reach(0.25) == 1.25
-    assert stream._is_answered == "known"
+    done: Future[float] = Future()
+    done.set_result(1.5)
+
+    def replace(since: float, curve: Sequence[Aim]) -> Future[float]:
+        asked.append(("replace", since, curve))
+        return done
+
+    feeds[0].check = lambda *what: asked.append(("check", *what))
+    feeds[0].reach = lambda later: later + 1.0
+    feeds[0].replace = replace
+    assert grouped(stream).clear() == 1.5
+    assert asked == [("check", 1.01, ()), ("replace", 1.01, ())]
 
 
 # -- its end -----------------------------------------------------------------------------------------------
 
 
-def test_feed_ends_with_error_of_stream(robot: Rehearsal) -> None:
+def test_feed_ends_with_the_error_of_its_stream(robot: Rehearsal, stream: Any, feeds: list[Any]) -> None:
     ended: list[Exception] = []
-    for error in (None, ConnectionLost("stream lost")):
-        stream = robot.motion.stream()
-        cast(Any, stream)._feed.end = ended.append
-        if error is None:
-            stream._life.finish()
-        else:
-            stream._life.fail(error)
-        assert isinstance(ended[-1], Closed if error is None else ConnectionLost)
+    feeds[0].end = ended.append
+    robot.vanish()
+    robot.until(lambda: stream.done)
+    assert isinstance(stream.error, ProgramStopped)
+    assert [str(error) for error in ended] == [str(stream.error)]
+    assert isinstance(ended[0], ProgramStopped)
+
+
+def test_feed_ends_when_block_is_left(robot: Rehearsal, stream: Any, feeds: list[Any]) -> None:
+    ended: list[Exception] = []
+    feeds[0].end = ended.append
+    assert robot.link is not None
+    with ThreadPoolExecutor(1) as other, robot.link.makefile("rb") as messages:
+        left = other.submit(stream.__exit__, None, None, None)
+        while int.from_bytes(messages.read(4 * (MESSAGE + 1))[:4], "big") != STOP:
+            pass
+        robot.finish()
+        left.result()
+    assert isinstance(ended[0], Closed)
     assert "the block of this stream was left" in str(ended[0])
 
 
-def test_call_raises_reason_of_end(stream: Any) -> None:
+@pytest.mark.parametrize(
+    ("why", "raised"), [(Cancelled("dropped"), ProgramStopped), (ValueError("not of the link"), ValueError)]
+)
+def test_call_raises_reason_of_end(
+    robot: Rehearsal, stream: Any, feeds: list[Any], why: Exception, raised: type[Exception]
+) -> None:
+    """The stream ends while the call waits. Only an error of the link has the end of the stream as its reason."""
+    failed: Future[float] = Future()
+    feeds[0].replace = lambda since, curve: failed
+
+    def end() -> None:
+        robot.vanish()
+        robot.until(lambda: stream.done)
+        failed.set_exception(why)
+
+    with ThreadPoolExecutor(1) as other:
+        other.submit(end)
+        with pytest.raises(raised):
+            stream.clear()
+
+
+def test_call_raises_error_of_its_points(stream: Any, feeds: list[Any]) -> None:
     failed: Future[float] = Future()
     failed.set_exception(Cancelled("dropped"))
+    feeds[0].replace = lambda since, curve: failed
     with pytest.raises(Cancelled, match="dropped"):
-        stream._answered(failed)
-    stream._life.fail(ConnectionLost("stream lost"))
-    with pytest.raises(ConnectionLost, match="stream lost"):
-        stream._answered(failed)
-    refused: Future[float] = Future()
-    refused.set_exception(ValueError("not of the link"))
-    with pytest.raises(ValueError, match="not of the link"):
-        stream._answered(refused)
+        stream.clear()
 
 
-def test_stream_joins_and_leaves_common_pace(robot: Rehearsal) -> None:
+def test_stream_joins_and_leaves_common_pace(robot: Rehearsal, feeds: list[Any]) -> None:
     left: list[int] = []
     pace = SimpleNamespace(is_paused=None, leave=lambda: left.append(1))
     stream = robot.motion.stream()
     stream._join(cast(MemberPace, pace))
-    feed = stream._feed
-    assert isinstance(feed, StreamFeed)
-    assert feed.pace is cast(Any, pace)
+    assert feeds[0].pace is pace
     assert cast(Any, pace).is_paused() is False
-    stream._life.finish()
+    stream.cancel()
     assert left == [1]

@@ -87,7 +87,7 @@ def arm(turned: float = 0.0, speed: float = 0.0, program: ProgramState = PAUSED)
     return cast(RealtimeState, SimpleNamespace(q_target=q, qd_target=qd, program_state=program))
 
 
-def test_arm_at_rest_position_may_resume() -> None:
+def test_motion_may_resume_if_arm_is_at_its_rest_position() -> None:
     pause = Pause("a motion", 0.05)
     assert [pause.look(arm(0.1 * n, program=PLAYING)) for n in range(3)] == [False] * 3
     assert (pause.holds, pause.is_over, pause.count) == (False, False, 0)
@@ -104,7 +104,7 @@ def test_arm_at_rest_position_may_resume() -> None:
 
 
 @pytest.mark.parametrize("moved", [0.0501, -0.0501])
-def test_arm_moved_in_pause_may_not_resume(moved: float) -> None:
+def test_motion_may_not_resume_if_arm_was_moved_in_the_pause(moved: float) -> None:
     pause = Pause("a motion", 0.05)
     pause.look(arm(0.5))
     pause.look(arm(0.5 + moved))
@@ -116,7 +116,7 @@ def test_arm_moved_in_pause_may_not_resume(moved: float) -> None:
     assert (pause.holds, pause.is_over, pause.count) == (False, True, 1)
 
 
-def test_at_once_raises_before_end_of_pause() -> None:
+def test_displaced_arm_ends_motion_during_the_pause_with_at_once() -> None:
     pause = Pause("a motion", 0.05, at_once=True)
     pause.look(arm(0.2, 1.0, PAUSING))
     pause.look(arm(0.5))
@@ -125,7 +125,7 @@ def test_at_once_raises_before_end_of_pause() -> None:
         pause.look(arm(0.551))
 
 
-def test_arm_not_yet_at_rest_may_be_anywhere() -> None:
+def test_pause_ignores_the_position_until_the_arm_is_at_rest() -> None:
     pause = Pause("a motion", 0.05)
     pause.look(arm(0.2, 1.0, PAUSING))
     assert not pause.look(arm(0.5, program=PLAYING))

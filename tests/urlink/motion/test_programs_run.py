@@ -44,7 +44,7 @@ def streaming(firmware: Firmware, **options: float) -> Bench:
         streaming_program(firmware, links.ReverseSocket("10.0.0.1", 50001, TOKEN), speeds=SPEEDS, **options),
         firmware,
     )
-    bench.run(3, lambda: bench.say(WAIT_MESSAGE))
+    bench.run(3, lambda: bench.deliver(WAIT_MESSAGE))
     assert bytes(bench.sockets.sent) == TOKEN.to_bytes(4, "big")
     return bench
 
@@ -54,12 +54,12 @@ def test_program_follows_streamed_set_points(firmware: Firmware) -> None:
     bench = streaming(firmware, lookahead_time=0.03)
     cycles = round(WAVE.duration / bench.period)
     times = iter(np.arange(cycles) * bench.period)
-    bench.run(cycles, lambda: bench.say(setpoint(*WAVE.sample(next(times))[:2])))
+    bench.run(cycles, lambda: bench.deliver(setpoint(*WAVE.sample(next(times))[:2])))
     wanted = WAVE.at(np.arange(cycles) * bench.period)[0]
     # The arm never trails by more than the distance that it moves in 60 ms.
     fastest = np.abs(WAVE.at(np.linspace(0, 1.5, 1000))[1]).max()
     assert np.abs(np.array(bench.path[3:]) - wanted).max() < 0.06 * fastest
-    bench.say(setpoint(HOME, STILL) + STOP_MESSAGE)
+    bench.deliver(setpoint(HOME, STILL) + STOP_MESSAGE)
     bench.run(200)
     assert bench.has_finished
     assert bench.motion.is_standing
@@ -68,12 +68,12 @@ def test_program_follows_streamed_set_points(firmware: Firmware) -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_missing_set_point_causes_no_dent(firmware: Firmware) -> None:
+def test_missing_set_point_changes_path_by_less_than_half_a_step(firmware: Firmware) -> None:
     smooth, gappy = streaming(firmware), streaming(firmware)
     for bench in (smooth, gappy):
         for i in range(100):
             if bench is smooth or i % 10:
-                bench.say(setpoint(turned(0.5 * i * bench.period), spinning(0.5)))
+                bench.deliver(setpoint(turned(0.5 * i * bench.period), spinning(0.5)))
             bench.run()
     assert np.abs(np.array(smooth.path[-60:]) - gappy.path[-60:]).max() < 0.5 * 0.5 * smooth.period
 
@@ -85,7 +85,7 @@ def test_program_coasts_at_decreasing_speed(firmware: Firmware) -> None:
     bench.watch_servoj(targets.append)
     speed = spinning(0.002 * firmware.rate)
     for i in (0, 1, 2):
-        bench.say(setpoint(turned(0.002 * i), speed))
+        bench.deliver(setpoint(turned(0.002 * i), speed))
         bench.run()
     most = links.missable(0.1, firmware.rate)
     bench.run(most)
@@ -94,13 +94,13 @@ def test_program_coasts_at_decreasing_speed(firmware: Firmware) -> None:
 
 
 @pytest.mark.parametrize("firmware", NEW, ids=str)
-def test_coasting_uses_sent_speed_not_differences(firmware: Firmware) -> None:
+def test_program_coasts_at_the_sent_speed(firmware: Firmware) -> None:
     most = links.missable(0.1, firmware.rate)
     late = streaming(firmware, watchdog=0.1)
     targets: list[list[float]] = []
     late.watch_servoj(targets.append)
     for step in (0, 1, None, None, 4, None):
-        late.say(b"" if step is None else setpoint(turned(0.001 * step), spinning(-0.2)))
+        late.deliver(b"" if step is None else setpoint(turned(0.001 * step), spinning(-0.2)))
         late.run()
     assert targets[-1][5] - targets[-2][5] == pytest.approx(-0.2 / firmware.rate * (1 - 1 / most), abs=1e-9)
 
@@ -113,7 +113,7 @@ def test_distant_set_point_is_reached_without_jump(firmware: Firmware) -> None:
     bench.watch_servoj(targets.append, is_followed=False)
     away = [0.3, HOME[1] - 0.3, HOME[2] + 0.2, HOME[3] - 0.1, HOME[4] + 0.05, 0.5]
     for aim in (HOME, *[away] * round(0.5 * firmware.rate)):
-        bench.say(setpoint(aim, STILL))
+        bench.deliver(setpoint(aim, STILL))
         bench.run()
     steps = np.abs(np.diff(np.array(targets), axis=0))
     assert steps.max() <= np.pi / firmware.rate + 1e-9
@@ -128,7 +128,7 @@ def test_distant_set_point_is_reached_without_jump(firmware: Firmware) -> None:
 def test_program_brakes_if_set_points_are_missing(firmware: Firmware) -> None:
     bench = streaming(firmware, watchdog=0.1)
     for i in range(50):
-        bench.say(setpoint(turned(1.0 * i * bench.period), spinning(1.0)))
+        bench.deliver(setpoint(turned(1.0 * i * bench.period), spinning(1.0)))
         bench.run()
     watchdog = round(np.ceil(0.1 / bench.period))
     bench.run(watchdog)
@@ -139,7 +139,7 @@ def test_program_brakes_if_set_points_are_missing(firmware: Firmware) -> None:
     assert bench.motion.is_standing
     assert not bench.execution.is_over
     # A set-point that arrives now is too late.
-    bench.say(setpoint(turned(0), STILL))
+    bench.deliver(setpoint(turned(0), STILL))
     bench.run(10)
     assert bench.has_finished
     assert bench.motion.is_standing
@@ -149,7 +149,7 @@ def test_program_brakes_if_set_points_are_missing(firmware: Firmware) -> None:
 def test_program_brakes_and_ends_with_link(firmware: Firmware) -> None:
     bench = streaming(firmware)
     for i in range(50):
-        bench.say(setpoint(turned(1.0 * i * bench.period), spinning(1.0)))
+        bench.deliver(setpoint(turned(1.0 * i * bench.period), spinning(1.0)))
         bench.run()
     bench.sockets.is_open = False
     bench.run(round(0.6 / bench.period))
@@ -239,7 +239,7 @@ def test_program_follows_requested_points(firmware: Firmware, is_quintic: bool) 
 
 @pytest.mark.parametrize("is_quintic", [False, True])
 @pytest.mark.parametrize("firmware", NEW, ids=str)
-def test_each_number_of_a_point_is_used(firmware: Firmware, is_quintic: bool) -> None:
+def test_program_uses_speed_and_acceleration_of_each_point(firmware: Firmware, is_quintic: bool) -> None:
     """Points in between have speeds and accelerations in every joint, all of them different."""
     rng = np.random.default_rng(7)
     q = np.tile(HOME, (4, 1)) + 0.1 * rng.uniform(-1, 1, (4, 6))
@@ -258,7 +258,7 @@ def test_each_number_of_a_point_is_used(firmware: Firmware, is_quintic: bool) ->
 
 
 @pytest.mark.parametrize("firmware", NEW, ids=str)
-def test_answer_may_take_nearly_as_long_as_a_segment(firmware: Firmware) -> None:
+def test_requested_waypoint_may_arrive_nearly_one_segment_late(firmware: Firmware) -> None:
     bench, server = handing_over(firmware, late=round(0.4 * firmware.rate))
     bench.run(round(5.0 / bench.period), server)
     assert bench.said == []
@@ -277,7 +277,7 @@ def test_missing_waypoint_ends_program_at_rest(firmware: Firmware) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("firmware", NEW, ids=str)
-def test_cut_link_is_noticed_without_pending_waypoint(firmware: Firmware) -> None:
+def test_lost_link_is_noticed_while_no_waypoint_is_requested(firmware: Firmware) -> None:
     slow = Trajectory.from_arrays([0, 10], [turned(0), turned(2)])
     bench, server = handing_over(firmware, slow)
     bench.run(round(5.0 / bench.period), server)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from linkcore.errors import BadValue, LocalError
-from tests.fakes.rehearsal import HOME, Rehearsal, turned
+from tests.fakes.rehearsal import HOME, Rehearsal, freedrive, turned
 from tests.urlink.motion.test_servo import opened
 from urlink import Linear
 from urlink.arm.models import model
@@ -62,7 +62,7 @@ RANGES: list[tuple[str, Call, float, float]] = [
     ("damping", lambda m, x: m.force_mode("base", *SIX, damping=x), 0, 1),
     ("gain", lambda m, x: m.force_mode("base", *SIX, gain=x), 0, 2),
     ("watchdog", lambda m, x: m.force_mode("base", *SIX, watchdog=x), 0.05, 10),
-    ("watchdog", lambda m, x: m._freedrive(None, "base", x, "reverse"), 0.05, 10),
+    ("watchdog", lambda m, x: freedrive(m, watchdog=x), 0.05, 10),
     ("watchdog", lambda m, x: m.torque(watchdog=x), 0.01, 1),
     ("watchdog", lambda m, x: m.impedance(watchdog=x), 0.05, 10),
     (r"stiffness\[0\] \(base\)", lambda m, x: m.impedance(stiffness=x), 0, 10_000),
@@ -158,8 +158,8 @@ TRY: dict[str, Callable[[Any], object]] = {
     "force_mode": lambda m: m.force_mode("base", *SIX),
     "damping": lambda m: m.force_mode("base", *SIX, damping=0.1),
     "gain": lambda m: m.force_mode("base", *SIX, gain=1),
-    "freedrive": lambda m: m._freedrive(None, "base", 0.5, "reverse"),
-    "axes": lambda m: m._freedrive([1, 0, 0, 0, 0, 0], "base", 0.5, "reverse"),
+    "freedrive": freedrive,
+    "axes": lambda m: freedrive(m, [1, 0, 0, 0, 0, 0]),
     "torque": lambda m: m.torque(),
     "impedance": lambda m: m.impedance(),
     "impedance of the tool": lambda m: m.impedance("base"),
@@ -185,7 +185,7 @@ TRY: dict[str, Callable[[Any], object]] = {
         ("impedance of the tool", "5.9", "5.10"),
     ],
 )
-def test_first_firmware_with_feature(
+def test_call_is_rejected_before_first_firmware_with_its_feature(
     rehearsal: Callable[..., Rehearsal], what: str, last_without: str, first_with: str
 ) -> None:
     before, since = (
@@ -198,7 +198,7 @@ def test_first_firmware_with_feature(
     TRY[what](since.motion)
 
 
-def test_default_force_of_contact(rehearsal: Callable[..., Rehearsal]) -> None:
+def test_contact_has_a_default_force_for_each_arm(rehearsal: Callable[..., Rehearsal]) -> None:
     """The controller detects contacts since 5.4; on older firmware, a contact is a force of 20 N."""
     for firmware, expected in (("5.3", "if against >= 20.0:"), ("5.4", "tool_contact(direction=[0.0, 0.6, -0.8, ")):
         robot = rehearsal(firmware)

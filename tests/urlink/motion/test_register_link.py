@@ -12,7 +12,8 @@ import pytest
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
 from tests.fakes.rehearsal import HOME, turned
 from tests.urlink.motion.bench import Bench
-from urlink.motion.links.messages import STOP_MESSAGE, WAIT_MESSAGE, dated, setpoint
+from urlink.motion.links import register_link
+from urlink.motion.links.messages import LARGEST, STOP_MESSAGE, WAIT_MESSAGE, dated, setpoint
 from urlink.motion.links.register_link import SETPOINT_INPUTS, RegisterLink, RegisterPort
 from urlink.motion.moves.trajectory import Trajectory
 from urlink.protocol.firmware import Firmware
@@ -60,10 +61,10 @@ class Led(Bench):
     def connect(self) -> Led:
         self.run(3)
         assert self.link.poll(has_begun=True)
-        self.say(WAIT_MESSAGE, cycles=3)
+        self.deliver(WAIT_MESSAGE, cycles=3)
         return self
 
-    def say(self, message: bytes, cycles: int = 1) -> None:
+    def deliver(self, message: bytes, cycles: int = 1) -> None:
         self.link.send(dated(message, self.cycle))
         self.run(cycles)
 
@@ -90,14 +91,15 @@ def test_link_writes_all_inputs() -> None:
     assert isinstance(link.absence("nothing came"), ConnectFailed)
 
 
-def test_message_numbers_and_dates_always_fit_a_register() -> None:
+def test_message_numbers_and_cycle_counts_fit_a_register(monkeypatch: pytest.MonkeyPatch) -> None:
     """They are never 0, because an unwritten register holds 0."""
     packages: list[dict[str, float]] = []
     link = RegisterLink(Inputs(packages.append))
-    link._count = 0x7FFF_FFFD  # as after 50 days at 500 Hz
-    for _ in range(4):
-        link.send(dated(WAIT_MESSAGE, link._count))
-    assert [package["input_int_register_45"] for package in packages] == [0x7FFF_FFFE, 0x7FFF_FFFF, 1, 2]
+    assert LARGEST == 0x7FFF_FFFF  # reached after 50 days at 500 Hz
+    monkeypatch.setattr(register_link, "LARGEST", 2)
+    for date in range(4):
+        link.send(dated(WAIT_MESSAGE, date))
+    assert [package["input_int_register_45"] for package in packages] == [1, 2, 1, 2]
     link.send(dated(WAIT_MESSAGE, 0x8000_0000))
     assert packages[-1]["input_int_register_44"] == 0x7FFF_FFFF
 
@@ -157,11 +159,11 @@ def test_program_follows_written_set_points(firmware: Firmware) -> None:
     bench = Led(firmware, lookahead_time=0.03).connect()
     times = np.arange(round(PATH.duration * firmware.rate)) * bench.period
     for t in times:
-        bench.say(setpoint(*PATH.sample(float(t))[:2]))
+        bench.deliver(setpoint(*PATH.sample(float(t))[:2]))
     wanted = PATH.at(times)[0]
     fastest = np.abs(PATH.at(np.linspace(0, 1, 1000))[1]).max()
     assert np.abs(np.array(bench.path[-len(times) :]) - wanted).max() < 0.06 * fastest
-    bench.say(STOP_MESSAGE, cycles=200)
+    bench.deliver(STOP_MESSAGE, cycles=200)
     assert bench.has_finished
     assert bench.motion.is_standing
     assert bench.said == []
@@ -179,7 +181,7 @@ def test_first_message_may_be_a_set_point(firmware: Firmware) -> None:
     bench.watch_servoj(targets.append)
     bench.run(3)
     for _ in range(5):
-        bench.say(setpoint(HOME, STILL))
+        bench.deliver(setpoint(HOME, STILL))
     assert np.array(targets) == pytest.approx(np.tile(HOME, (len(targets), 1)), abs=1e-6)
     assert len(targets) >= 4
 
@@ -200,7 +202,7 @@ def test_program_ignores_messages_without_token(firmware: Firmware) -> None:
 def test_program_brakes_without_new_messages(firmware: Firmware) -> None:
     bench = Led(firmware, watchdog=0.1).connect()
     for i in range(50):
-        bench.say(setpoint(turned(1.0 * i * bench.period), [*STILL[:5], 1.0]))
+        bench.deliver(setpoint(turned(1.0 * i * bench.period), [*STILL[:5], 1.0]))
     bench.run(round(np.ceil(0.1 / bench.period)))
     assert bench.said == []
     bench.run(2)
@@ -211,12 +213,12 @@ def test_program_brakes_without_new_messages(firmware: Firmware) -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_missing_message_causes_no_dent(firmware: Firmware) -> None:
+def test_missing_message_does_not_disturb_the_path(firmware: Firmware) -> None:
     smooth, gappy = Led(firmware).connect(), Led(firmware).connect()
     for bench in (smooth, gappy):
         for i in range(100):
             if bench is smooth or i % 10:
-                bench.say(setpoint(turned(0.5 * i * bench.period), [*STILL[:5], 0.5]))
+                bench.deliver(setpoint(turned(0.5 * i * bench.period), [*STILL[:5], 0.5]))
             else:
                 bench.run()
     assert np.abs(np.array(smooth.path[-60:]) - gappy.path[-60:]).max() < 0.5 * 0.5 * smooth.period
@@ -227,8 +229,8 @@ def test_distant_set_point_is_reached_without_jump(firmware: Firmware) -> None:
     bench = Led(firmware, watchdog=0.1).connect()
     targets: list[list[float]] = []
     bench.watch_servoj(targets.append, is_followed=False)
-    bench.say(setpoint(HOME, STILL))
+    bench.deliver(setpoint(HOME, STILL))
     for _ in range(firmware.rate // 2):
-        bench.say(setpoint(turned(0.5), STILL))
+        bench.deliver(setpoint(turned(0.5), STILL))
     assert np.abs(np.diff(np.array(targets), axis=0)).max() <= np.pi / firmware.rate + 1e-9
     assert targets[-1] == pytest.approx(turned(0.5), abs=1e-6)

@@ -68,7 +68,7 @@ def test_single_step_is_a_cubic_from_rest_to_rest(speed: float, acceleration: fl
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_plan_exhausts_and_respects_limits(seed: int) -> None:
+def test_retiming_plan_reaches_but_does_not_exceed_limits(seed: int) -> None:
     """Check both ends of each step: on a curve with tangent T and length s, joints accelerate by T's'² + T s''."""
     rng = np.random.default_rng(seed)
     u = np.linspace(0.0, 1.0, 81)[:, None]
@@ -98,7 +98,7 @@ def test_plan_exhausts_and_respects_limits(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_largest_x_with_feasible_y(seed: int) -> None:
+def test_largest_feasible_x_equals_bisection(seed: int) -> None:
     """Compare with bisection, for lines a x + b y <= c and 0 <= y <= `end`."""
     rng = np.random.default_rng(seed)
     a, b, c = rng.normal(size=(3, 8))
@@ -119,7 +119,7 @@ def test_largest_x_with_feasible_y(seed: int) -> None:
     assert retiming._largest(np.zeros(1), np.ones(1), -np.ones(1), end, 1.0) == 0.0
 
 
-def test_points_passed_too_quickly_are_left_out() -> None:
+def test_retiming_omits_points_that_are_passed_too_quickly() -> None:
     """Keep as many points as fit into the time, and both ends."""
     u = np.linspace(0.0, math.pi, 2001)
     q, qd = np.outer(0.5 - 0.5 * np.cos(u), [0.3] * 6), np.outer(np.sin(u), [0.3] * 6)
@@ -131,7 +131,7 @@ def test_points_passed_too_quickly_are_left_out() -> None:
 
 
 @pytest.mark.parametrize(("end", "rounds"), [(1.0, 1), (0.5, 5)])
-def test_path_is_planned_again_only_if_bent(end: float, rounds: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_retiming_plans_only_bent_paths_a_second_time(end: float, rounds: int, monkeypatch: pytest.MonkeyPatch) -> None:
     planned: list[int] = []
     fastest = retiming._fastest
 
@@ -146,7 +146,7 @@ def test_path_is_planned_again_only_if_bent(end: float, rounds: int, monkeypatch
 
 
 @pytest.mark.parametrize("middle", [0.05, 0.15, 0.25])
-def test_two_steps_are_planned(middle: float) -> None:
+def test_retiming_of_two_steps_takes_the_minimal_time(middle: float) -> None:
     """The shorter step uses the full acceleration, from rest or to rest."""
     q = np.array([[0.0] * 6, [middle] * 6, [0.3] * 6])
     time, places, speeds = retime(
@@ -158,13 +158,13 @@ def test_two_steps_are_planned(middle: float) -> None:
     assert speeds[1] == pytest.approx([fastest] * 6)
 
 
-def test_points_far_enough_apart_are_kept() -> None:
+def test_retiming_keeps_points_that_are_far_enough_apart() -> None:
     assert retiming._spread(np.array([0.0, 1.0, 1.4, 2.5]), 1.0) == [0, 1, 3]
     assert retiming._spread(np.array([0.0, 1.0, 2.0, 2.5]), 1.0) == [0, 1, 3]
     assert retiming._spread(np.array([0.0, 0.4, 0.8]), 1.0) == [0, 2]
 
 
-def test_rests_of_path_are_kept() -> None:
+def test_retiming_keeps_the_rests_of_a_path() -> None:
     there_and_back = Trajectory.from_arrays([0, 3, 9], [[0.0] * 6, [1.0, 0.5, 0.0, 0.0, 0.0, 0.0], [0.0] * 6])
     retimed = there_and_back.retimed(1.0, 2.0)
     assert retimed.duration == pytest.approx(2.0 * (1.0 + 0.5), rel=1e-3)
@@ -194,7 +194,7 @@ def test_retiming_respects_limits_and_path(q: list[list[float]], steps: list[flo
     assert retimed.duration <= 1.05 * path.duration * scale
 
 
-def test_some_limit_is_used_most_of_the_time() -> None:
+def test_retimed_trajectory_is_at_some_limit_most_of_the_time() -> None:
     rng = np.random.default_rng(0)
     q = np.cumsum(rng.uniform(-0.3, 0.3, (8, 6)), axis=0)
     used = usage(Trajectory.from_arrays(np.arange(8.0), q).retimed(SPEED, ACCELERATION))

@@ -9,7 +9,9 @@ from typing import ClassVar
 import pytest
 
 from linkcore.errors import BadAddress, ConnectFailed, ConnectionLost, LinkTimeout
+from linkcore.net.listener import TcpListener
 from linkcore.net.transport import TcpTransport
+from tests import platforms
 from tests.waiting import until
 from urlink.motion.links.reverse import ReverseLink, ReversePort
 
@@ -31,7 +33,7 @@ def is_up(link: ReverseLink) -> bool:
     return link.poll(has_begun=False)
 
 
-def test_link_listens_at_free_port_on_route_to_robot(link: ReverseLink) -> None:
+def test_link_listens_at_the_interface_that_reaches_the_robot(link: ReverseLink) -> None:
     host, port, _ = link.endpoint
     assert host == "127.0.0.1"
     assert port > 1023
@@ -63,15 +65,15 @@ def test_link_accepts_one_program(link: ReverseLink) -> None:
 
 
 def test_connection_accepted_during_close_is_aborted(link: ReverseLink, monkeypatch: pytest.MonkeyPatch) -> None:
-    accept = link._listener.accept
+    accept = TcpListener.accept
 
-    def accept_and_close(timeout: float) -> TcpTransport:
-        connection = accept(timeout)
+    def accept_and_close(listener: TcpListener, timeout: float) -> TcpTransport:
+        connection = accept(listener, timeout)
         link.close()
         return connection
 
     with socket.create_connection(link.endpoint[:2], TIMEOUT) as program:
-        monkeypatch.setattr(link._listener, "accept", accept_and_close)
+        monkeypatch.setattr(TcpListener, "accept", accept_and_close)
         assert not is_up(link)
         with pytest.raises(ConnectionResetError):
             program.recv(1)
@@ -117,7 +119,7 @@ def test_unread_messages_raise_connection_lost(link: ReverseLink) -> None:
 
 
 @pytest.mark.parametrize("options", [{}, {"farewell": False}, {"farewell": True}])
-def test_close_discards_pending_data_except_farewell(link: ReverseLink, options: dict[str, bool]) -> None:
+def test_close_discards_pending_data_except_the_end_message(link: ReverseLink, options: dict[str, bool]) -> None:
     with socket.create_connection(link.endpoint[:2], TIMEOUT) as program:
         program.sendall(token(link))
         until(lambda: is_up(link))
@@ -227,7 +229,7 @@ def is_left_alone(stranger: socket.socket) -> bool:
         return True
 
 
-def test_free_ports_can_wait_at_the_same_time() -> None:
+def test_two_links_can_wait_at_free_ports_at_the_same_time() -> None:
     where = ReversePort("127.0.0.1")
     first, second = where.open(), where.open()
     for link in (first, second):
@@ -283,7 +285,7 @@ def test_program_connecting_during_close_is_aborted(
     # An earlier connection is lost before it is read.
     queue = [ConnectionLost("gone"), coming]
 
-    def accept(timeout: float) -> object:
+    def accept(listener: TcpListener, timeout: float) -> object:
         if not queue:
             raise LinkTimeout("no client")
         if isinstance(each := queue.pop(0), Exception):
@@ -292,7 +294,7 @@ def test_program_connecting_during_close_is_aborted(
             link.close()
         return each
 
-    monkeypatch.setattr(link._listener, "accept", accept)
+    monkeypatch.setattr(TcpListener, "accept", accept)
     is_up(link)
     assert coming.is_aborted
 
@@ -325,6 +327,7 @@ def test_translated_address_listens_on_all_interfaces() -> None:
 
 
 @pytest.mark.real_time
+@platforms.needs_reusable_ports
 def test_fixed_port_accepts_only_the_newest_program(own_port: int) -> None:
     where = ReversePort("127.0.0.1", port=own_port)
     first = where.open()
@@ -340,7 +343,7 @@ def test_fixed_port_accepts_only_the_newest_program(own_port: int) -> None:
     second.close()
 
 
-def test_absence_error_suggests_remedies(link: ReverseLink) -> None:
+def test_missing_connection_error_suggests_remedies(link: ReverseLink) -> None:
     error = link.absence("refused")
     assert isinstance(error, ConnectFailed)
     for part in (

@@ -158,12 +158,12 @@ def moving(path: list[list[float]]) -> FloatArray:
 
 
 def followed(cell: Cell, **options: Any) -> tuple[Motion, list[TrajectoryFeedback], FloatArray]:
-    told: list[TrajectoryFeedback] = []
+    reported: list[TrajectoryFeedback] = []
     cell.path.clear()
-    motion = cell.robot.motion.follow(curve(), feedback=told.append, **options)
+    motion = cell.robot.motion.follow(curve(), feedback=reported.append, **options)
     motion.wait(TIMEOUT)
     time.sleep(0.1)
-    return motion, told, moving(cell.path)
+    return motion, reported, moving(cell.path)
 
 
 @pytest.mark.slow
@@ -173,20 +173,20 @@ def test_arm_stays_on_path_whatever_the_slider_does(cell: Callable[[str, str], C
     """The path at full speed includes the lag of ``servoj``, so it is the reference for the others."""
     arm, firmware, options = WAYS[way]
     one = cell(arm, firmware)
-    _, told, full = followed(one, **options)
-    usual = max(float(np.abs(each.error).max()) for each in told)
-    assert all(each.trajectory_time == pytest.approx(each.time, abs=0.1) for each in told)
+    _, reported, full = followed(one, **options)
+    usual = max(float(np.abs(each.error).max()) for each in reported)
+    assert all(each.trajectory_time == pytest.approx(each.time, abs=0.1) for each in reported)
     with one.slider(slider):
-        motion, told, path = followed(one, path_tolerance=2.0 * usual, goal_time=0.5, **options)
+        motion, reported, path = followed(one, path_tolerance=2.0 * usual, goal_time=0.5, **options)
     assert motion.phase is Phase.DONE
     assert distance(path, full) < NEAR
-    times = np.array([[each.time, each.trajectory_time] for each in told])
+    times = np.array([[each.time, each.trajectory_time] for each in reported])
     assert np.diff(times, axis=0).min() >= -0.005  # while a state is later than the last answered state
     assert times[-1, 0] > times[-1, 1] + 2.5
 
 
 @pytest.mark.slow
-def test_tolerances_count_time_of_trajectory(cell: Callable[[str, str], Cell]) -> None:
+def test_goal_time_counts_in_the_time_of_the_trajectory(cell: Callable[[str, str], Cell]) -> None:
     """At a tenth of the speed, the arm has ten times as long to arrive. At 0, no time passes."""
     one = cell("UR5", "3.15")
     # At the end of a trajectory that stops from full speed, the lag is 15 ms at most.
@@ -210,9 +210,9 @@ def test_arm_leaves_path_if_scaling_is_ignored(cell: Callable[[str, str], Cell])
     one = cell("UR5e", "5.11")
     _, _, full = followed(one)
     with one.slider(lambda t: 0.25):
-        _, told, path = followed(one, scaling="ignore", goal_time=5.0)
+        _, reported, path = followed(one, scaling="ignore", goal_time=5.0)
         assert distance(path, full) > 0.05
-        assert all(each.trajectory_time == pytest.approx(each.time) for each in told)
+        assert all(each.trajectory_time == pytest.approx(each.time) for each in reported)
     with one.slider(lambda t: 0.0 if 0.6 < t < 1.2 else 1.0):
         _, _, path = followed(one, scaling="ignore", goal_time=5.0)
     fastest, caught_up = (np.abs(np.diff(each, axis=0)).max() for each in (full, path))
@@ -222,7 +222,7 @@ def test_arm_leaves_path_if_scaling_is_ignored(cell: Callable[[str, str], Cell])
         one.robot.motion.follow(curve(), scaling="ignore", path_tolerance=0.05).wait(TIMEOUT)
 
 
-def test_low_bandwidth_uses_only_time_of_robot(cell: Callable[[str, str], Cell]) -> None:
+def test_low_bandwidth_rejects_scaling_ignore(cell: Callable[[str, str], Cell]) -> None:
     one = cell("UR5e", "5.11")
     with pytest.raises(LocalError, match="in its own time"):
         one.robot.motion.follow(curve(), low_bandwidth=True, scaling="ignore")
@@ -265,7 +265,7 @@ def rehearsed(profile: list[tuple[float, float]], version: str, late: int) -> Fl
         )
         states.append(cast(RealtimeState, seen))
         if n >= late + 2:
-            bench.say(led.step(b"", states[-1 - late], 1000.0 + n * bench.period))
+            bench.deliver(led.step(b"", states[-1 - late], 1000.0 + n * bench.period))
         bench.run()
         assert bench.cycle < 30 * firmware.rate
     assert bench.said == []

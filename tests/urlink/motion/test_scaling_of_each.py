@@ -25,15 +25,15 @@ FAR = (*READY[:5], 2.0)
 
 
 @contextlib.contextmanager
-def looped(cell: Cell, say: Callable[[float], object]) -> Iterator[None]:
-    """Call `say` for each state with the time in s since the start; a rejected call ends the loop."""
+def looped(cell: Cell, send: Callable[[float], object]) -> Iterator[None]:
+    """Call `send` for each state with the time in s since the start; a rejected call ends the loop."""
     over = threading.Event()
 
     def run() -> None:
         began = cell.robot.realtime.wait().time
         with contextlib.suppress(BadValue, urlink.LinkError):
             while not over.is_set():
-                say(cell.robot.realtime.wait().time - began)
+                send(cell.robot.realtime.wait().time - began)
 
     thread = threading.Thread(target=run)
     thread.start()
@@ -92,11 +92,11 @@ def counted_servo(cell: Cell) -> Iterator[None]:
     angle = [0.0]
     with cell.robot.motion.servo() as servo:
 
-        def say(t: float) -> None:
+        def send(t: float) -> None:
             angle[0] += SPEED * servo.scaling / 500.0
             servo.send([*READY[:5], angle[0]])
 
-        with looped(cell, say):
+        with looped(cell, send):
             yield
 
 
@@ -193,7 +193,7 @@ def went(way: Callable[[Cell], contextlib.AbstractContextManager[None]], fractio
         one.close()
 
 
-def test_each_motion_is_measured() -> None:
+def test_slider_effect_is_measured_for_each_motion() -> None:
     assert set(EFFECTS) == set(WAYS), f"every motion in EFFECTS needs an entry in WAYS of {__name__}"
 
 
@@ -208,7 +208,7 @@ def test_slider_effect_matches_declaration(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_loop_advancing_at_slider_0_is_rejected() -> None:
+def test_set_points_that_advance_at_slider_0_are_rejected() -> None:
     """The budget counts the time of the program: with the slider at 0, the arm could only jump afterwards."""
     one = Cell("UR5e", "5.11")
     try:

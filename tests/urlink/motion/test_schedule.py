@@ -6,16 +6,16 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
+from linkcore import clock
 from linkcore.errors import BadValue, LinkError, LocalError
 from tests.fakes.rehearsal import HOME, Rehearsal, turned
 from tests.urlink.motion.bench import PLAYING, Led
 from tests.urlink.motion.test_servo import opened
-from tests.waiting import until
 from urlink import Circular, Joint, Linear
 from urlink.arm.kinematics import Arm, Unreachable
 from urlink.arm.models import model
@@ -66,14 +66,14 @@ def delay_of(firmware: Firmware) -> float:
             led.bench.run()
 
     def send(q: list[float]) -> None:
-        led.bench.say(setpoint(q, [0.0] * 6))
+        led.bench.deliver(setpoint(q, [0.0] * 6))
 
     return measure(states(), send, 5, -0.05, 0.5)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("firmware", _FIRMWARES[1:], ids=str)
-def test_waypoints_are_reached_in_time_with_known_delay(firmware: Firmware) -> None:
+def test_schedule_reaches_waypoints_in_time_with_measured_delay(firmware: Firmware) -> None:
     delay = delay_of(firmware)
     cycle = 1.0 / firmware.rate
     # The arm lags by half the look-ahead time plus two over the gain, after the time that a set-point takes to arrive.
@@ -139,7 +139,7 @@ def test_trajectory_is_followed_without_lag() -> None:
         led.bench.run(2)
         while not follower.is_over:
             state = led.state()
-            led.bench.say(follower.step(b"", state, led.time))
+            led.bench.deliver(follower.step(b"", state, led.time))
             if (times := follower.times(state.time)) is not None:
                 errors.append(state.q_actual[5] - follower.desired(times[1])[0][5])
             led.bench.run()
@@ -189,7 +189,7 @@ def test_waypoint_far_too_early_is_rejected() -> None:
         added(4.2)
 
 
-def test_waypoint_is_over_when_set_point_was_sent() -> None:
+def test_waypoint_is_rejected_after_its_set_point_was_sent() -> None:
     """The set-point that answers a state is for `delay` later; the next set-point follows at least a cycle later."""
     for delay in (0.0, 0.125):
         made = schedule(delay)
@@ -339,25 +339,23 @@ class TestServo:
                 servo.measure_delay()
 
     @pytest.mark.parametrize("delay", [None, 0.0, 0.1])
-    def test_set_points_are_sent_earlier_by_delay(self, robot: Rehearsal, delay: float | None) -> None:
+    def test_set_points_are_sent_earlier_by_delay(
+        self, robot: Rehearsal, dialogues: list[Any], delay: float | None
+    ) -> None:
         with opened(robot, delay=delay) as servo:
-            # A thread answers the states up to here; this subscription receives each state after that thread.
-            heard: list[float] = []
-            robot.realtime.subscribe(lambda state: heard.append(state.time), inline=True)
+            # A thread answers the states up to here.
             robot.tick()
-            thread = servo._program._subscription
-            assert thread is not None
-            until(lambda: robot.time in heard and thread.stats.waiting == 0)
+            clock.sleep(0.1)  # simulated time passes only when the state was answered
             at = robot.time + 0.2
             assert servo.schedule(turned(0.02), at=at) == at
             assert servo.stats.count == 1
-            still, time, q = np.zeros(6), robot.time, list(HOME)
+            still, now, q = np.zeros(6), robot.time, list(HOME)
             while q != pytest.approx(turned(0.02), abs=1e-6):
-                time += robot.cycle
-                state = SimpleNamespace(time=time, q_target=np.array(HOME), qd_target=still, **PLAYING)
-                q = read_message(servo._dialogue.step(b"", cast(RealtimeState, state), time))[0]
+                now += robot.cycle
+                state = SimpleNamespace(time=now, q_target=np.array(HOME), qd_target=still, **PLAYING)
+                q = read_message(dialogues[0].step(b"", cast(RealtimeState, state), now))[0]
             # The last few thousandths of a second are less than a millionth of a radian.
-            assert at - time == pytest.approx(2 * robot.cycle if delay is None else delay, abs=0.003)
+            assert at - now == pytest.approx(2 * robot.cycle if delay is None else delay, abs=0.003)
 
     def test_pose_needing_a_large_joint_turn_is_rejected(self, robot: Rehearsal) -> None:
         """The pose might be behind a singularity or far away, so the path would not be straight."""
@@ -375,7 +373,9 @@ class TestServo:
                 with pytest.raises(BadValue, match="expected a Joint or Linear without blend and speed"):
                     servo.schedule(refused, at=robot.time + 20)  # type: ignore[arg-type]
 
-    def test_schedule_works_after_an_interruption(self, robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_schedule_works_after_an_interruption(
+        self, robot: Rehearsal, dialogues: list[Any], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         def interrupt(*args: object) -> None:
             raise KeyboardInterrupt
 
@@ -385,7 +385,7 @@ class TestServo:
                 with pytest.raises(KeyboardInterrupt):
                     servo.schedule(HOME, at=robot.time + 1)
             assert servo.schedule(HOME, at=robot.time + 1) is not None
-            assert servo._dialogue.resampled is not None
+            assert dialogues[0].resampled is not None
 
     def test_send_and_schedule_cannot_be_combined(self, rehearsal: Callable[..., Rehearsal]) -> None:
         for options, message in (({}, "use either send"), ({"target_filter": "jerk_limited"}, "use send")):

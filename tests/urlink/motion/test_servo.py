@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any, cast
@@ -158,7 +158,7 @@ def test_statistics_of_long_loop_use_newest_intervals(robot: Rehearsal, monkeypa
         assert (servo.stats.count, servo.stats.late, servo.stats.max) == (4, 1, 0.25)
 
 
-def test_set_point_carries_speed(led: Rehearsal) -> None:
+def test_set_point_carries_speed(led: Rehearsal, dialogues: list[Any]) -> None:
     with opened(led) as servo:
         for q, seconds, speed in ((0.03, 0.0, 0.0), (0.032, 0.004, 0.5), (0.033, 0.0, 0.5), (0.031, 0.002, 0.0)):
             led.time += seconds
@@ -166,7 +166,7 @@ def test_set_point_carries_speed(led: Rehearsal) -> None:
             assert next_set_point(led) == pytest.approx(turned(q))
             assert led.speeds == pytest.approx([0.0] * 5 + [speed], abs=1e-6)
         # From now on, only the loop sends messages.
-        assert servo._dialogue.step(b"", servo._context.state(), led.time) == b""
+        assert dialogues[0].step(b"", led.context.state(), led.time) == b""
 
 
 def test_burst_after_delay_causes_no_speed_peak(led: Rehearsal) -> None:
@@ -258,14 +258,14 @@ def test_source_of_set_points_is_notified_of_pause() -> None:
     assert not servo.begins_anew
 
 
-def test_loop_restarts_after_pause(robot: Rehearsal) -> None:
+def test_loop_restarts_after_pause(robot: Rehearsal, dialogues: list[Any]) -> None:
     with opened(robot) as servo:
         for n in range(5):
             servo.send(turned(0.001 * n))
             assert next_set_point(robot) == pytest.approx(turned(0.001 * n))
             robot.time += 0.002
-        servo._dialogue.resume(seen(robot.time, q=0.3))
-        with pytest.raises(BadValue, match=r"from where the arm is; at most 0\.0500 rad"):
+        dialogues[0].resume(seen(robot.time, q=0.3))
+        with pytest.raises(BadValue, match=r"from the position of the arm; at most 0\.0500 rad"):
             servo.send(turned(0.005))
         for q, speed in ((0.3, 0.0), (0.301, 0.5)):
             servo.send(turned(q))
@@ -286,7 +286,7 @@ def test_first_set_point_is_near_and_all_are_in_range(led: Rehearsal) -> None:
     led.q = turned(2 * np.pi - 0.05)
     led.show()
     with opened(led) as servo:
-        with pytest.raises(BadValue, match=r"from where the arm is; at most 0\.0500 rad"):
+        with pytest.raises(BadValue, match=r"from the position of the arm; at most 0\.0500 rad"):
             servo.send(turned(2 * np.pi - 0.1001))
         with pytest.raises(
             BadValue, match=r"q\[5\] \(wrist 3\) is 6\.28319 rad; expected a number from -6\.28319 to 6\.28319 rad"
@@ -296,7 +296,7 @@ def test_first_set_point_is_near_and_all_are_in_range(led: Rehearsal) -> None:
     led.q = turned(0.0)
     led.show()
     with opened(led) as servo:
-        with pytest.raises(BadValue, match="from where the arm is"):
+        with pytest.raises(BadValue, match="from the position of the arm"):
             servo.send(turned(np.nextafter(-0.05, -1)))
         servo.send(turned(-0.05))
 
@@ -310,7 +310,7 @@ def test_unknown_arm_has_no_joint_range(rehearsal: Callable[..., Rehearsal]) -> 
             servo.send([float("inf")] * 6)
 
 
-def test_coasting_time_depends_on_rate(robot: Rehearsal) -> None:
+def test_coasting_time_of_servo_depends_on_its_rate(robot: Rehearsal) -> None:
     """The program coasts for a tenth of a second, or for three periods of a slower loop."""
     for options, cycles in (
         ({}, 50),
@@ -352,7 +352,7 @@ def test_small_steps_without_time_between_are_too_fast(led: Rehearsal) -> None:
     [
         ([0] * 5, "shape"),
         (turned(float("nan")), "not finite"),
-        (turned(0.1), r"0\.1000 rad from where the arm is; at most 0\.0500"),
+        (turned(0.1), r"0\.1000 rad from the position of the arm; at most 0\.0500"),
     ],
 )
 def test_invalid_first_set_point_is_rejected(led: Rehearsal, q: list[float], message: str) -> None:
@@ -440,7 +440,7 @@ def test_cut_link_raises_connection_lost(robot: Rehearsal) -> None:
             servo.send(HOME)
 
 
-def test_cut_link_is_noticed_by_send(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_send_raises_after_the_link_was_cut(robot: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("urlink.motion.servo.block_motion._REASON", 0.05)
     with opened(robot) as servo:
         assert robot.link is not None
@@ -517,12 +517,12 @@ def test_lost_registers_raise_connection_lost(
 def test_reported_reason_replaces_connection_loss(rehearsal: Callable[..., Rehearsal]) -> None:
     robot = rehearsal(link="rtde")
 
-    def stop(values: Mapping[str, float]) -> None:
+    def stop() -> None:
         robot.state(safety=SafetyMode.PROTECTIVE_STOP)
         raise ConnectionLost("cut")
 
     with opened(robot) as servo:
-        robot.inputs._write = stop  # type: ignore[method-assign]
+        robot.inputs.before_write = stop
         with pytest.raises(SafetyStop, match="protective stop"):
             servo.send(HOME)
 
@@ -535,7 +535,7 @@ def test_firmware_without_registers_is_rejected(rehearsal: Callable[..., Rehears
         assert robot.sent == []
 
 
-def test_done_callback_of_failed_start_may_command_and_wait(led: Rehearsal) -> None:
+def test_done_callback_of_failed_start_can_move_the_arm_and_wait(led: Rehearsal) -> None:
     led.state(safety=SafetyMode.PROTECTIVE_STOP)
     until(lambda: led.safety.cause is not None)
     seen: list[BaseException] = []

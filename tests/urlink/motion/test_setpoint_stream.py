@@ -35,7 +35,7 @@ def at(angle: float) -> list[float]:
     return [0.0] * 5 + [angle]
 
 
-def test_message_without_set_point_has_no_numbers() -> None:
+def test_stop_and_wait_messages_contain_only_zeros() -> None:
     assert read_message(STOP_MESSAGE) == (REST, REST, STOP)
     assert read_message(WAIT_MESSAGE) == (REST, REST, WAIT)
 
@@ -90,7 +90,7 @@ def test_next_set_point_is_due_half_a_cycle_after_the_last(
         stream.send(at(0.3), REST, 10.0)
 
 
-def test_late_set_point_may_be_as_far_as_program_coasts(stream: SetpointStream) -> None:
+def test_late_set_point_may_be_as_far_away_as_the_program_coasts(stream: SetpointStream) -> None:
     stream.send(at(0.3), REST, 10.0)
     for later, seconds in ((CYCLE, CYCLE + EARLY), (0.05, 0.05 + EARLY), (60.0, 0.1 + CYCLE + EARLY)):
         assert stream.excess(at(0.3 + 0.999 * TOP * seconds), 10.0 + later) is None

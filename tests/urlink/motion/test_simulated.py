@@ -14,7 +14,6 @@ from linkcore.errors import BadValue, ConnectionLost
 from linkcore.handle import Motion, Phase
 from tests.waiting import until
 from urlink.motion import TrajectoryFeedback
-from urlink.motion.links.register_link import RegisterLink
 from urlink.motion.links.reverse import ReverseLink
 from urlink.motion.moves.trajectory import Trajectory
 from urlink.robot import Robot
@@ -66,14 +65,6 @@ def tool_path(robot: Robot, seconds: float = 0.8) -> Trajectory:
     return Trajectory.from_arrays([0, seconds / 2, seconds], q)
 
 
-def link_of(motion: Motion) -> ReverseLink | RegisterLink:
-    """Return the connection of the motion's program, which only tests use."""
-    brake = motion._life.brake
-    link = brake.__self__._link  # type: ignore[attr-defined]
-    assert isinstance(link, (ReverseLink, RegisterLink))
-    return link
-
-
 def stands(robot: Robot) -> bool:
     return bool(np.abs(robot.realtime.wait(5).qd_actual).max() < 1e-3)
 
@@ -98,23 +89,23 @@ def test_follow_reaches_end_of_trajectory(
 ) -> None:
     robot = connect(arm, firmware)
     path = tool_path(robot)
-    told: list[TrajectoryFeedback] = []
-    motion = robot.motion.follow(path, **way, feedback=told.append, watchdog=WATCHDOG, goal_time=20.0)
+    received: list[TrajectoryFeedback] = []
+    motion = robot.motion.follow(path, **way, feedback=received.append, watchdog=WATCHDOG, goal_time=20.0)
     motion.wait(TIMEOUT)
     assert motion.phase is Phase.DONE
     assert robot.realtime.wait(5).q_actual == pytest.approx(path.q[-1], abs=0.01)
-    assert len(told) > 10
-    assert max(float(np.abs(each.error).max()) for each in told) < 0.3
+    assert len(received) > 10
+    assert max(float(np.abs(each.error).max()) for each in received) < 0.3
     until(lambda: stands(robot))
 
 
 @pytest.mark.slow
-def test_silent_computer_ends_motion(connect: Callable[[str, str], Robot]) -> None:
+def test_silent_computer_ends_motion(connect: Callable[[str, str], Robot], monkeypatch: pytest.MonkeyPatch) -> None:
     """The watchdog on the robot expires: the link still exists, but no set-point arrives."""
     robot = connect("ur5e", "5.11")
     motion = robot.motion.follow(tool_path(robot, 4.0), watchdog=1.0)
     until(lambda: motion.done or motion.progress > 0.1, TIMEOUT)
-    link_of(motion).send = lambda data: None  # type: ignore[method-assign]
+    monkeypatch.setattr(ReverseLink, "send", lambda link, data: None)
     with pytest.raises(ConnectionLost, match="brakes on its own"):
         motion.wait(TIMEOUT)
     until(lambda: stands(robot), TIMEOUT)
@@ -157,7 +148,7 @@ def test_consecutive_speeds_keep_arm_moving(connect: Callable[[str, str], Robot]
 def test_trajectory_starting_elsewhere_is_rejected(connect: Callable[[str, str], Robot]) -> None:
     robot = connect("ur5e", "5.11")
     elsewhere = Trajectory.from_arrays([0, 1], [READY + 0.2, READY + 0.2])
-    with pytest.raises(BadValue, match="too far from where the arm is"):
+    with pytest.raises(BadValue, match="too far from the position of the arm"):
         robot.motion.follow(elsewhere)
 
 

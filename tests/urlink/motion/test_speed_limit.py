@@ -63,7 +63,7 @@ def test_steps_without_time_between_are_rejected() -> None:
 
 
 @pytest.mark.parametrize(("speed", "late", "passes"), [(0.5, 0.06, True), (1.5, 0.02, True), (3.0, 0.008, True)])
-def test_short_delay_can_be_made_up_for(speed: float, late: float, passes: bool) -> None:
+def test_loop_may_catch_up_after_a_short_delay(speed: float, late: float, passes: bool) -> None:
     """A loop with absolute times is late once, and then sends the missed set-points at once."""
     loop = Loop()
     for _ in range(100):
@@ -75,7 +75,7 @@ def test_short_delay_can_be_made_up_for(speed: float, late: float, passes: bool)
         assert loop.step(speed * 0.002, 0.002) is None
 
 
-def test_long_delay_is_not_made_up_for_at_once() -> None:
+def test_loop_may_not_catch_up_at_once_after_a_long_delay() -> None:
     loop = Loop()
     for _ in range(100):
         loop.step(3.0 * 0.002, 0.002)
@@ -90,7 +90,7 @@ def test_lateness_counts_from_due_time() -> None:
     assert Loop().step(TOP * (0.004 + EARLY) * 0.99, 0.004) is None
 
 
-def test_unused_lateness_expires() -> None:
+def test_unused_motion_budget_of_a_late_set_point_expires() -> None:
     """Otherwise, a loop could save it up and then jump at full speed."""
     loop = Loop()
     loop.step(0.0, 1.0)
@@ -116,7 +116,7 @@ def test_several_set_points_per_period_are_accepted() -> None:
         assert loop.step(TOP * 0.0005, 0.0005) is None
 
 
-def test_bounds_have_expected_values() -> None:
+def test_speed_limit_bounds_have_expected_values() -> None:
     """The bounds are 2 ms for the period, 1 ms early and 10 ms late, and two millionths of a rad for rounding."""
     for seconds, room, period in ((0.002, 0.003, 0.002), (60.0, 0.013, 0.002), (60.0, 0.031, 9.0), (0.02, 0.021, 9.0)):
         assert Loop(period).step(TOP * room + 2.1e-6, seconds) is not None
@@ -152,7 +152,7 @@ def test_error_names_joint_and_excess() -> None:
         assert part in said
 
 
-def test_clock_without_progress_adds_no_budget() -> None:
+def test_speed_limit_grants_no_motion_if_the_clock_stands_still() -> None:
     loop = Loop()
     while loop.step(0.001, 0.0) is None:
         pass

@@ -169,7 +169,7 @@ class TestDry:
         assert max(missed) < 0.01
         assert not stream.bench.execution.is_over
 
-    def test_points_ending_at_rest_count_no_stop(self) -> None:
+    def test_points_that_end_at_rest_do_not_count_as_starved(self) -> None:
         stream = Streamed(E_SERIES)
         stream.append(Trajectory.from_arrays([0, 0.5], [turned(0), turned(0.1)]))
         stream.run_dry()
@@ -196,7 +196,7 @@ class TestDry:
         assert max(np.abs(path - wave(1.0 + 0.05 * i).q).max(axis=1).min() for i in range(10)) < 2e-3
 
     @pytest.mark.slow
-    def test_frozen_computer_does_not_stop_stream(self) -> None:
+    def test_stream_continues_while_the_computer_is_frozen(self) -> None:
         stream = Streamed(E_SERIES, buffer=0.3)
         stream.append(waves(0.05, 3.0))
         stream.until(lambda: stream.feed.time > 0.5)
@@ -208,7 +208,7 @@ class TestDry:
         wanted = np.array([wave(i * stream.period).q for i in range(len(path))])
         assert np.abs(path - wanted).max() < 2e-6
 
-    def test_report_from_before_freeze_is_recognised_as_old(self) -> None:
+    def test_report_sent_before_the_computer_froze_counts_as_old(self) -> None:
         stream = Streamed(E_SERIES, buffer=0.5)
         stream.append(waves(0.05, 3.0))
         stream.until(lambda: stream.feed.time > 0.5)
@@ -274,7 +274,7 @@ class TestReplaced:
         stream = Streamed(E_SERIES)
         stream.append(waves(0.05, 2.0))
         stream.until(lambda: stream.feed.time > 0.4)
-        with pytest.raises(BadValue, match=r"cannot be reached from where the stream is at 0\.[45]"):
+        with pytest.raises(BadValue, match=r"cannot be reached from the position of the stream at 0\.[45]"):
             stream.replace(0.4, [TrajectoryPoint(turned(2.0), 0.6, [0] * 6)])
         with pytest.raises(BadValue, match=r"all points are in the past: the last is at 0\.3 s"):
             stream.replace(0.0, waves(0.05, 0.3))
@@ -349,7 +349,7 @@ class TestRejected:
         ("points", "message"),
         [
             (lambda: [], "there are no points"),
-            (lambda: 3, "points are 3; expected points, or a Trajectory"),
+            (lambda: 3, "points is 3; expected a sequence of TrajectoryPoint or PosePoint"),
             (lambda: [3], "point 0 is 3; expected a TrajectoryPoint or a PosePoint"),
             (lambda: [wave(0.1), wave(0.101)], r"point 1 \(t = 0.101 s\): .* is 0.001 s after .* expected 0.004 s"),
             (lambda: [wave(0.1), wave(0.1)], r"point 1 \(t = 0.1 s\): its time is 0 s after"),
@@ -446,18 +446,19 @@ def test_stream_starves_at_every_point_and_continues(seed: int) -> None:
             stream.append(point)
         except BadValue:  # too hard for a curve
             stream.append(TrajectoryPoint(point.q, point.time))
+        assert stream.feed.mark is not None
+        last = stream.feed.mark.moment
         stream.until(lambda point=point: stream.feed.time >= point.time - 1e-9)
         begin = len(stream.path)
         stream.run_dry()
         _, qdd, _ = stream.derivatives(begin + 2)
         # Points may need more acceleration than the stream adds.
-        last = stream.feed._last.step.end
         assert np.abs(qdd).max(initial=0.0) < max(ACCELERATION, np.abs(last.qdd).max())
         # The arm does not overshoot far: only as far as the slower of both bounds requires.
         fastest = np.abs(last.qd).max()
         braking = max(2.2 * fastest / ACCELERATION, (6.0 * fastest / JERK) ** 0.5, 0.35)
         assert np.abs(np.array(stream.path[-1]) - last.q).max() < 0.5 * fastest * braking + 0.06
-        rests = stream.bounds.braked(stream.feed._last.step.end).q
+        rests = stream.bounds.braked(last).q
         assert stream.path[-1] == pytest.approx(rests, abs=1e-4)
         assert stream.feed.starved <= number
     assert stream.feed.starved >= 5

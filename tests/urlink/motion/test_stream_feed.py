@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
-import itertools
 import struct
 from concurrent.futures import Future
 from types import SimpleNamespace
@@ -16,19 +14,26 @@ import pytest
 from linkcore.errors import BadValue, Cancelled, ConnectionLost, LinkTimeout
 from linkcore.pending_call import PendingCall
 from tests.fakes.rehearsal import HOME, turned
-from tests.urlink.motion.streamed import ACCELERATION, JERK, Streamed
+from tests.urlink.motion.streamed import ACCELERATION, JERK, Report, Streamed
 from tests.urlink.motion.test_stream import E_SERIES, FIRMWARES, wave, waves
 from urlink.errors import ToleranceExceeded
 from urlink.motion.moves.trajectory import TrajectoryPoint
 from urlink.motion.stream.common_time import MemberPace
+from urlink.motion.stream.program_pace import ProgramPace
 from urlink.motion.stream.stream_feed import StreamFeed
-from urlink.motion.stream.stream_steps import Handed, Mark
+from urlink.motion.stream.stream_steps import Handed, Mark, Step
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState
-from urlink.script.buffering import BRAKING, CUT, MESSAGE, PACING, POINT, RESTING, PointRegisters
+from urlink.script.buffering import BRAKING, CUT, FINE, MESSAGE, PACING, POINT, RESTING, PointRegisters
 from urlink.script.links import SCALE, STOP, WAIT, ReverseSocket
 
 STILL = [0.0] * 6
+
+
+def reported(stream: Streamed) -> Report:
+    """Run until the program has reported in this cycle, and return its report."""
+    stream.until(lambda last=stream.report: stream.report is not last)
+    return stream.report
 
 
 def moves(stream: Streamed, since: float = 0.5) -> Streamed:
@@ -44,7 +49,7 @@ def mark(stream: Streamed) -> Mark:
     return stream.feed.mark
 
 
-def test_feed_before_start_and_at_rest() -> None:
+def test_feed_has_no_points_before_start_and_at_rest() -> None:
     stream = Streamed(E_SERIES)
     feed = stream.feed
     assert (feed.time, feed.reach(1.0), feed.ahead, feed.is_dry, feed.is_answered) == (0.0, 0.0, 0.0, True, True)
@@ -89,6 +94,16 @@ def messages_of(stream: Streamed) -> list[tuple[int, ...]]:
     return found
 
 
+def position_in(message: tuple[int, ...]) -> list[float]:
+    """Return the joint positions in a message, in rad."""
+    return [each / FINE for each in message[5:11]]
+
+
+def angles_of_points(stream: Streamed) -> list[float]:
+    """Return how far wrist 3 is turned at each point that was sent, in rad."""
+    return [position_in(message)[5] - HOME[5] for message in stream.sent if message[0] == POINT]
+
+
 def test_points_may_come_before_first_report() -> None:
     """A message opens the first epoch at point 0, where the arm rests; message numbers start at 1."""
     stream = Streamed(E_SERIES, way=10)
@@ -98,16 +113,15 @@ def test_points_may_come_before_first_report() -> None:
     stream.append(waves(0.05, 0.5))
     stream.run()
     assert messages[-1][:3] == (CUT, 1, 0)
-    assert stream.feed._cut is not None
-    assert stream.feed._cut.message == 5
-    assert is_chained(stream)
     stream.run()
     assert messages[-1][:3] == (POINT, 1, 2)
+    stream.until(lambda: stream.feed.is_answered)
+    assert stream.report[:2] == (5, 1)
     stream.run_dry()
     assert stream.path[-1] == pytest.approx(wave(0.5).q, abs=2e-2)
 
 
-def test_farewell_contains_only_a_stop() -> None:
+def test_end_message_of_a_stream_contains_only_a_stop() -> None:
     """The program does not end on its own."""
     assert struct.unpack(f">{MESSAGE}i", StreamFeed.farewell) == (STOP, *[0] * (MESSAGE - 1))
     assert not StreamFeed.survives_its_program
@@ -115,18 +129,29 @@ def test_farewell_contains_only_a_stop() -> None:
 
 def test_pace_reaches_program_after_three_cycles() -> None:
     """This is the delay of a message that answers a state, and of the state that shows the change."""
-    stream, paces = Streamed(E_SERIES), Paces()
-    stream.feed.pace = cast(MemberPace, paces)
-    paces.change = 0.125
+    pace = ProgramPace()
     found: list[float] = []
-    for _ in range(6):
-        stream.run()
-        found.append(stream.feed._program_pace.now)
+    for cycle in range(1, 7):
+        pace.passed(RESTING, 0.002)
+        pace.want(1.0 - 0.125 * cycle)
+        found.append(pace.now)
     assert found == [1.0, 1.0, 1.0, 0.875, 0.75, 0.625]
 
 
+def test_pace_returns_to_one_while_braking() -> None:
+    pace = ProgramPace()
+    for _ in range(4):
+        pace.want(0.5)
+        pace.passed(RESTING, 0.002)
+    assert pace.now == 0.5
+    pace.passed(BRAKING, 0.006)
+    assert pace.now == pytest.approx(0.5 + 0.006 * PACING)
+    pace.passed(BRAKING, 0.5)
+    assert pace.now == 1.0
+
+
 def test_pace_changes_at_rate_of_program() -> None:
-    """This holds while the arm moves. If it brakes because points are missing, it brakes at full pace."""
+    """This holds while the arm moves."""
     stream, paces = Streamed(E_SERIES), Paces()
     stream.feed.pace = cast(MemberPace, paces)
     stream.append(waves(0.05, 0.6))
@@ -134,17 +159,11 @@ def test_pace_changes_at_rate_of_program() -> None:
     messages, found, change = messages_of(stream), [], PACING * stream.period
     paces.wanted = 0.5
     for _ in range(5):
+        time = stream.feed.time
         stream.run()
-        found.append(stream.feed._program_pace.now)
+        found.append((stream.feed.time - time) / stream.period)
     assert (WAIT, 0, SCALE // 2, *[0] * (MESSAGE - 3)) in messages
-    assert found == pytest.approx([1.0, 1.0, 1.0, 1.0 - change, 1.0 - 2.0 * change])
-    stream.until(lambda: stream.feed._report.phase == BRAKING)
-    assert stream.feed._program_pace.now == pytest.approx(0.5)
-    stream.run(3)
-    assert stream.feed._program_pace.now == pytest.approx(0.5 + 3.0 * change)
-    stream.run(12)
-    assert stream.feed._report.phase == BRAKING
-    assert stream.feed._program_pace.now == pytest.approx(1.0)
+    assert found == pytest.approx([1.0, 1.0, 1.0, 1.0 - change, 1.0 - 2.0 * change], abs=2e-3)
 
 
 def test_stream_time_without_reports_stops_at_last_sent_point() -> None:
@@ -168,17 +187,19 @@ def test_cut_is_repeated_if_messages_may_be_lost(is_lossy: bool) -> None:
     assert kinds.count(CUT) == (9 if is_lossy else 1)
 
 
-@pytest.mark.parametrize("cycles", [0, 2, 10])
-def test_time_without_states_is_counted(cycles: int) -> None:
-    """After three or more cycles, a report may be older than the state that comes with it."""
+@pytest.mark.parametrize(("cycles", "old", "counts"), [(0, 1, True), (2, 3, False), (2, 4, True), (10, 11, False)])
+def test_old_report_does_not_count_after_time_without_states(cycles: int, old: int, counts: bool) -> None:
+    """After three or more cycles, a report may be older than the state that comes with it, by up to their time."""
     stream = moves(Streamed(E_SERIES))
-    stream.run(cycles, is_frozen=True)
-    stream.run()
-    passed = (cycles + 1) * stream.period
-    assert stream.feed._unseen == pytest.approx(passed if cycles > 1 else 0.0)
+    report, before = reported(stream), stream.feed.time
+    stream.bench.cycle += cycles
+    passed = report.passed + round((cycles + 1 - old + 0.01) * stream.period * SCALE)
+    stream.receive(report._replace(passed=passed))
+    wanted = cycles + 1.01 - old if counts else cycles + 1
+    assert (stream.feed.time - before) / stream.period == pytest.approx(wanted, abs=2e-3)
 
 
-def test_forgetting_unappended_points_keeps_end() -> None:
+def test_forgetting_unknown_points_does_not_change_the_end() -> None:
     stream = moves(Streamed(E_SERIES))
     stream.feed.replace(0.67, ())
     end = mark(stream)
@@ -186,7 +207,7 @@ def test_forgetting_unappended_points_keeps_end() -> None:
     assert mark(stream) is end
 
 
-def test_feed_is_answered_when_no_cut_is_pending() -> None:
+def test_feed_is_answered_when_all_replacements_are_answered() -> None:
     stream = moves(Streamed(E_SERIES, way=5))
     feed = stream.feed
     curve = stream.reader.curve(waves(0.4, 2.5), 0.4, mark(stream))
@@ -213,14 +234,14 @@ def test_check_rejects_impossible_replacement_in_advance() -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES, ids=str)
-def test_cut_is_planned_six_cycles_and_10_ms_ahead(firmware: Firmware) -> None:
+def test_cut_takes_effect_six_cycles_and_10_ms_later(firmware: Firmware) -> None:
     stream = moves(Streamed(firmware))
     for later in (0.0, 0.1):
         ahead = stream.feed.reach(later) - stream.feed.time
         assert ahead == pytest.approx(6 * stream.period + 0.01 + later, abs=1e-9)
 
 
-def test_cut_is_planned_at_most_a_second_ahead() -> None:
+def test_cut_takes_effect_at_most_a_second_later() -> None:
     stream = moves(Streamed(E_SERIES, buffer=3.0, way=400))
     stream.feed.margin = 0.6  # messages take 0.8 s
     assert stream.replace(0.0, waves(0.05, 6.0)) > 1.0
@@ -234,13 +255,15 @@ def test_program_receives_no_more_points_than_capacity(way: int) -> None:
     feed = stream.feed
     feed.add(stream.reader.after(waves(0.004, 1.0, 0.004), mark(stream)), Handed())
     held: list[int] = []
+    messages = messages_of(stream)
     for _ in range(300):
         stream.run()
-        held.append(feed._head - feed._report.base)
-    assert max(held) == feed._capacity - 1 == 28
+        if messages[-1][0] == POINT:
+            held.append(messages[-1][2] - stream.report.base)
+    assert max(held) == stream.capacity - 1 == 28
 
 
-def test_points_are_handed_over_when_last_one_was_sent() -> None:
+def test_append_future_is_done_when_last_point_was_sent() -> None:
     stream = Streamed(E_SERIES, buffer=0.3)
     feed = stream.feed
     one, two = stream.append(waves(0.05, 0.2)), stream.append(waves(0.25, 0.7))
@@ -256,7 +279,7 @@ def test_points_are_handed_over_when_last_one_was_sent() -> None:
 
 
 @pytest.mark.parametrize("cycles", [0, 1, 2, 3, 30])
-def test_time_is_right_after_computer_was_frozen(cycles: int) -> None:
+def test_stream_time_is_correct_after_the_computer_was_frozen(cycles: int) -> None:
     """The first reports after that are older than the state."""
     stream = moves(Streamed(E_SERIES, way=3), 0.3)
     for _ in range(20):
@@ -309,12 +332,18 @@ def is_consistent(stream: Streamed) -> bool:
 
 
 def is_chained(stream: Streamed) -> bool:
-    """Whether each sent step begins when the previous step ends, and has the next number."""
-    steps = [stream.feed._last, *stream.feed._steps]
-    return all(
-        sent.number == before.number + 1 and sent.until - before.until == pytest.approx(sent.step.length)
-        for before, sent in itertools.pairwise(steps)
-    )
+    """Whether each sent step has the next number, and the time that is left is the time of their lengths."""
+    lengths: list[int] = []
+    for what, _, number, length, *_ in stream.sent:
+        if what == CUT:  # its end is the next point
+            lengths[number:] = [length]
+        elif what == POINT:
+            if number != len(lengths) + 1:
+                return False
+            lengths.append(length)
+    since = stream.since_report * stream.period
+    left = (sum(lengths[stream.report.base :]) - stream.report.passed) / SCALE - since
+    return bool(stream.feed.ahead == pytest.approx(left, abs=1e-5))
 
 
 @pytest.mark.parametrize("since", [0.0, 0.62, 1.2, 1.22])
@@ -366,11 +395,11 @@ def test_points_are_replaced_right_after_resuming_from_braking(cycles: int) -> N
     """The cut is in the rest of the braking, in the path from there, or later."""
     stream = Streamed(E_SERIES)
     stream.append(waves(0.05, 0.6))
-    stream.until(lambda: stream.feed._report.phase == BRAKING)
+    stream.until(lambda: stream.report.phase == BRAKING)
     begin, end = len(stream.path), mark(stream)
     there = end.moment.q + 0.1
     stream.append([TrajectoryPoint(there, end.time + t, [0] * 6, [0] * 6) for t in (0.5, 0.7)])
-    stream.until(lambda: stream.feed._report.phase != BRAKING)
+    stream.until(lambda: stream.report.phase != BRAKING)
     assert is_chained(stream)
     stream.run(cycles)
     assert is_chained(stream)
@@ -385,11 +414,11 @@ def test_points_are_replaced_right_after_resuming_from_braking(cycles: int) -> N
     assert np.abs(qddd).max() < JERK * 1.05
 
 
-def test_first_points_are_all_kept() -> None:
+def test_first_points_of_a_stream_are_all_queued() -> None:
     stream = Streamed(E_SERIES)
     stream.append([TrajectoryPoint(turned(angle), t) for angle, t in ((0.05, 0.05), (0.0, 2.0))])
-    stream.run(1)
-    assert [aim.time for aim in stream.feed._queue] == [0.05, 2.0]
+    stream.run_dry()
+    assert angles_of_points(stream) == pytest.approx([0.05, 0.0], abs=1e-6)
 
 
 def test_replacement_may_start_at_end_of_sent_points() -> None:
@@ -401,19 +430,24 @@ def test_replacement_may_start_at_end_of_sent_points() -> None:
     assert stream.path[-1] == pytest.approx(wave(stream.feed.time).q, abs=3e-3)
 
 
-def test_same_points_are_reached_again_after_four_cycles() -> None:
+def test_replacing_with_same_points_takes_four_cycles() -> None:
     """A step takes at least two cycles, and the first step takes twice that."""
     stream = moves(Streamed(E_SERIES))
     curve = stream.reader.curve(waves(0.05, 2.5), 0.0, mark(stream))
-    begin = stream.feed.reach(0.0)
     stream.feed.replace(0.0, curve)
-    assert stream.feed._queue[0].time == pytest.approx(begin + 4 * stream.period)
+    messages = messages_of(stream)
+    stream.run(2)
+    assert [message[0] for message in messages] == [CUT, POINT]
+    assert messages[1][3] == pytest.approx(4 * stream.period * SCALE, abs=1)
 
 
-def test_point_at_current_time_is_past_at_rest() -> None:
+def test_points_at_the_current_time_are_skipped_at_rest() -> None:
     stream = Streamed(E_SERIES)
+    with pytest.raises(BadValue, match="all points are in the past: the last is at 0 s, but the stream is at 0 s"):
+        stream.replace(0.0, [TrajectoryPoint(HOME, 0.0, [0] * 6)])
     stream.replace(0.0, [TrajectoryPoint(turned(0.1 * t), t, [0] * 6) for t in (0.0, 0.5, 1.0)])
-    assert [aim.time for aim in stream.feed._queue] == [0.5, 1.0]
+    stream.run_dry()
+    assert angles_of_points(stream) == pytest.approx([0.05, 0.1], abs=1e-6)
 
 
 @pytest.mark.parametrize(("acceleration", "lands"), [(0.3, 0.3), (1000.0, 0.0)])
@@ -447,7 +481,7 @@ def test_replacement_at_rest_skips_unreachable_points() -> None:
 
 
 @pytest.mark.parametrize(("buffer", "cycles", "starved"), [(0.1, 20, 0), (0.1, 100, 1), (0.3, 100, 0), (0.3, 200, 1)])
-def test_late_points_are_sent_again(buffer: float, cycles: int, starved: int) -> None:
+def test_points_that_arrived_too_late_are_sent_again(buffer: float, cycles: int, starved: int) -> None:
     """The network is blocked in both directions, partly for longer than the program holds points."""
     stream = moves(Streamed(E_SERIES, buffer=buffer), 0.5)
     begin = len(stream.path)
@@ -466,51 +500,51 @@ def cutting(stream: Streamed) -> tuple[Future[float], int]:
     """Send a cut without an answer; return its future and the number of its message."""
     done = stream.feed.replace(0.65, stream.reader.curve(waves(0.65, 2.5), 0.65, mark(stream)))
     stream.run()
-    assert stream.feed._cut is not None
-    assert stream.feed._cut.message == stream.feed._messages
-    return done, stream.feed._messages
+    assert stream.sent[-1][0] == CUT
+    return done, len(stream.sent)
 
 
 def test_cut_is_answered_by_first_report_after_message() -> None:
     stream = moves(Streamed(E_SERIES, way=30))
     done, number = cutting(stream)
-    report = dataclasses.replace(stream.feed._report, epoch=stream.feed._epoch)
-    stream.feed._take(dataclasses.replace(report, messages=number - 1))
+    report = stream.report._replace(epoch=stream.sent[-1][1])
+    stream.receive(report._replace(messages=number - 1))
     assert not done.done()
-    stream.feed._take(dataclasses.replace(report, messages=number))
+    stream.receive(report._replace(messages=number))
     assert done.result(0.0) == pytest.approx(0.65)
 
 
-def test_margin_is_doubled_after_late_cut() -> None:
+def test_time_margin_is_doubled_after_a_late_cut() -> None:
     stream = moves(Streamed(E_SERIES, way=30))
-    margin, before = stream.feed.margin, mark(stream)
+    margin = stream.feed.margin
     done, number = cutting(stream)
-    stream.feed._take(dataclasses.replace(stream.feed._report, messages=number))
+    stream.receive(stream.report._replace(messages=number))
     assert stream.feed.margin == 2.0 * margin
-    assert mark(stream) is before
-    assert not done.done()  # the cut is requested again
+    assert [(what, epoch) for what, epoch, *_ in stream.sent[-2:]] == [(CUT, 2), (CUT, 3)]  # it is requested again
+    assert not done.done()
     assert not stream.feed.is_answered
 
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_points_in_late_messages_are_sent_again(count: int) -> None:
     stream = moves(Streamed(E_SERIES))
-    feed = stream.feed
-    sent = list(feed._steps)[-count:]
-    waiting = len(feed._queue)
-    report = dataclasses.replace(feed._report, head=sent[0].number - 1)
-    feed._take(dataclasses.replace(report, messages=sent[0].message - 1))
-    assert len(feed._queue) == waiting
-    feed._take(dataclasses.replace(report, messages=sent[-1].message))
-    assert list(feed._queue)[:count] == [each.aim for each in sent]
-    assert len(feed._queue) == waiting + count
-    assert feed._head == feed._steps[-1].number == sent[0].number - 1
+    report = reported(stream)
+    refused = [(number, sent) for number, sent in enumerate(stream.sent, 1) if sent[0] == POINT][-count:]
+    report, end = report._replace(head=refused[0][1][2] - 1), stream.feed.reach(100.0)
+    stream.receive(report._replace(messages=refused[0][0] - 1))
+    assert stream.feed.reach(100.0) == end
+    assert stream.sent[-1][0] == WAIT
+    stream.receive(report._replace(messages=refused[-1][0]))
+    stream.run(count - 1)
+    assert stream.sent[-count:] == [sent for _, sent in refused]
+    assert stream.feed.reach(100.0) == end
 
 
-def test_report_corrects_time() -> None:
+def test_report_of_the_robot_corrects_the_stream_time() -> None:
     stream = moves(Streamed(E_SERIES))
     before, begin = stream.feed.time, stream.bench.cycle
-    stream.feed._passed += 0.01
+    stream.receive(stream.report._replace(passed=stream.report.passed + 50_000))
+    assert stream.feed.time > before + 0.005
     stream.run(20)
     assert stream.feed.time == pytest.approx(before + (stream.bench.cycle - begin) * stream.period)
 
@@ -521,7 +555,7 @@ def test_points_arriving_while_braking_are_reached(way: int) -> None:
     stream = Streamed(E_SERIES, way=way)
     stream.append(waves(0.05, 0.6))
     margin = stream.feed.margin
-    stream.until(lambda: stream.feed._report.phase == BRAKING)
+    stream.until(lambda: stream.report.phase == BRAKING)
     assert stream.feed.time == pytest.approx(0.6)
     begin, end = len(stream.path), mark(stream)
     there = end.moment.q + 0.1
@@ -543,11 +577,11 @@ def test_stream_resumes_from_rest_if_cut_would_be_late(cycles: float, goes_on: b
     stream = Streamed(E_SERIES)
     feed = stream.feed
     stream.append(waves(0.05, 0.6))
-    stream.until(lambda: feed._report.phase == BRAKING)
-    left = feed._brake.length - (feed._report.passed + feed._passed - feed._reported)
-    feed.margin = left - cycles * stream.period
-    feed._queue.extend(stream.reader.after([TrajectoryPoint(mark(stream).moment.q + 0.1, 2.0)], mark(stream)))
-    feed._resume()
+    stream.until(lambda: stream.report.phase == BRAKING)
+    left = Step.braking(mark(stream).moment, stream.bounds.limits).length - stream.report.passed / SCALE
+    feed.margin = left - (cycles + 1.0) * stream.period  # the append takes effect in the next cycle
+    stream.append(TrajectoryPoint(mark(stream).moment.q + 0.1, 2.0))
+    stream.run()
     assert feed.is_answered is not goes_on
 
 
@@ -561,18 +595,16 @@ def test_cleared_stream_starves_only_after_new_points() -> None:
     stream.append(there)
     stream.run_dry()
     assert stream.feed.starved == 1
-    stream.feed.dry()
-    assert (stream.feed._dry, stream.feed._answered) == ([], [])
 
 
 @pytest.mark.parametrize("way", [5, 9, 10, 11, 20])
-def test_stream_rests_at_most_once_for_any_delay(way: int) -> None:
+def test_stream_stops_at_most_once_after_braking_for_any_delay(way: int) -> None:
     """This holds even if the cut comes in time, but the first point, a cycle later, does not."""
     stream = Streamed(E_SERIES, way=way)
     stream.append(waves(0.05, 0.6))
     slowest: list[float] = []
     for _ in range(3):
-        stream.until(lambda: stream.feed._report.phase == BRAKING)
+        stream.until(lambda: stream.report.phase == BRAKING)
         begin, end = len(stream.path), mark(stream)
         there = end.moment.q + np.array([*STILL[:5], 0.2])
         stream.append(TrajectoryPoint(there, end.time + 0.5, [*STILL[:5], 0.4], STILL))
@@ -585,14 +617,15 @@ def test_stream_rests_at_most_once_for_any_delay(way: int) -> None:
 def test_clear_while_resuming_counts_no_late_point() -> None:
     stream = Streamed(E_SERIES)
     stream.append(waves(0.05, 0.6))
-    stream.until(lambda: stream.feed._report.phase == BRAKING)
+    stream.until(lambda: stream.report.phase == BRAKING)
     end = mark(stream)
     stream.append(TrajectoryPoint(end.moment.q + 0.1, end.time + 1.0, STILL, STILL))
-    stream.until(lambda: stream.feed._report.phase != BRAKING)
+    stream.until(lambda: stream.report.phase != BRAKING)
     stream.feed.margin = 0.006  # within the rest of the braking
     stream.clear()
     stream.run_dry()
-    assert stream.feed._last.number == stream.feed._resumed
+    resumed, cleared = [message[2] for message in stream.sent if message[0] == CUT][-2:]
+    assert resumed == cleared  # both cut the braking
     assert (stream.feed.margin, stream.feed.starved) == (0.006, 1)
 
 
@@ -603,13 +636,13 @@ def paused(stream: Streamed, q: Any = None) -> int:
     """Resume after a pause, at the current position or at `q`; return the number of messages sent before."""
     state = stream.state()
     stream.feed.resume(state if q is None else cast(RealtimeState, SimpleNamespace(q_target=np.array(q))))
-    return stream.feed._messages
+    return len(stream.sent)
 
 
 def found_at(stream: Streamed, q: Any) -> None:
     """Report, after a pause, that the program found the arm at `q`, dropped its points, and is at rest."""
-    before, report = paused(stream, q), stream.feed._report
-    stream.feed._take(dataclasses.replace(report, messages=before + 1, head=report.base, phase=RESTING))
+    before, report = paused(stream, q), stream.report
+    stream.receive(report._replace(messages=before + 1, head=report.base, phase=RESTING))
 
 
 def test_stream_resumes_from_arm_moved_in_pause() -> None:
@@ -619,7 +652,7 @@ def test_stream_resumes_from_arm_moved_in_pause() -> None:
     stream.run_dry()
     rests, there = mark(stream), [*stream.path[-1][:5], stream.path[-1][5] + 0.02]
     before = paused(stream, there)
-    while stream.feed._report.messages <= before:
+    while stream.report.messages <= before:
         assert mark(stream) is rests
         stream.run()
     assert mark(stream).time == stream.feed.time == rests.time
@@ -635,18 +668,27 @@ def test_stream_resumes_from_arm_moved_in_pause() -> None:
 def test_arm_not_moved_in_pause_continues_with_points() -> None:
     """The feed knows after fifty messages that the arm was not moved. The program is slow at first."""
     stream = moves(Streamed(E_SERIES))
-    before = paused(stream)
-    stream.run()
-    assert stream.feed._timer.rate == 0.0
-    last = before
-    while stream.feed._found is not None:
-        last = stream.feed._report.messages
-        assert last <= before + 50
-        stream.run()
-    assert last >= before + 40  # reports come every 10 ms
-    assert stream.feed._report.messages > before + 50
+    reported(stream)
+    time, before = stream.feed.time, paused(stream)
+    stream.run(5)
+    assert stream.feed.time - time < 0.1 * 5 * stream.period
+    stream.until(lambda: stream.report.messages > before + 50)
     stream.until(lambda: stream.feed.time > 2.4)
     assert stream.path[-1] == pytest.approx(wave(stream.feed.time).q, abs=3e-3)
+
+
+@pytest.mark.parametrize(("messages", "is_found"), [(0, True), (50, True), (51, False)])
+def test_arm_is_found_elsewhere_only_at_first_after_pause(messages: int, is_found: bool) -> None:
+    """A report of rest that comes after more than fifty messages has another reason."""
+    stream = moves(Streamed(E_SERIES))
+    stream.way = 10_000
+    there, report = wave(stream.feed.time + 0.2).q, stream.report
+    before = paused(stream, there)
+    stream.run(60)
+    stream.receive(report._replace(messages=before + messages))
+    stream.receive(report._replace(messages=before + messages + 1, head=report.base, phase=RESTING))
+    assert stream.sent[-1][0] == CUT
+    assert (position_in(stream.sent[-1]) == pytest.approx(there, abs=1e-6)) is is_found
 
 
 def test_points_passed_while_braking_are_skipped_after_pause() -> None:
@@ -654,25 +696,22 @@ def test_points_passed_while_braking_are_skipped_after_pause() -> None:
     stream = moves(Streamed(E_SERIES))
     time = stream.feed.time
     found_at(stream, wave(time + 0.2).q)
-    assert stream.feed._found is None
-    assert (stream.feed._life.is_open, stream.feed._may_skip) == (False, True)
-    assert stream.feed._last.ends == stream.feed.time == pytest.approx(time, abs=0.005)
-    assert stream.feed._brake.end.q == pytest.approx(wave(time + 0.2).q)
-    waiting = [aim.time for aim in stream.feed._queue]
-    assert waiting == pytest.approx([0.05 * n for n in range(10, 51)])
-    stream.feed._resume()
-    assert not stream.feed._may_skip
-    assert stream.feed._queue[0].time == pytest.approx(0.8)
-    assert stream.feed._queue[0].step is not None
+    assert stream.feed.time == pytest.approx(time, abs=0.005)
+    assert stream.sent[-1][0] == CUT
+    assert position_in(stream.sent[-1]) == pytest.approx(wave(time + 0.2).q, abs=1e-6)
+    stream.run()
+    assert stream.sent[-1][0] == POINT
+    assert position_in(stream.sent[-1]) == pytest.approx(wave(0.8).q, abs=1e-6)
+    assert stream.sent[-1][3] / SCALE == pytest.approx(0.8 - time, abs=0.005)
 
 
 def test_pause_before_first_point_changes_only_start() -> None:
     stream = Streamed(E_SERIES)
     margin = stream.feed.margin
     rests, before = mark(stream), paused(stream, turned(0.02))
-    stream.feed._take(dataclasses.replace(stream.feed._report, messages=before))
+    stream.receive(stream.report._replace(messages=before))
     assert mark(stream) is rests  # the report was sent before the pause ended
-    stream.until(lambda: stream.feed._report.messages > before)
+    stream.until(lambda: stream.report.messages > before)
     assert mark(stream).moment.q == pytest.approx(turned(0.02))
     assert (stream.feed.margin, stream.feed.starved) == (margin, 0)
 
@@ -680,15 +719,14 @@ def test_pause_before_first_point_changes_only_start() -> None:
 def test_unreachable_points_after_pause_end_stream() -> None:
     """The arm was moved beyond the range of a joint."""
     stream = moves(Streamed(E_SERIES))
-    found_at(stream, turned(6.4))
     with pytest.raises(ToleranceExceeded, match=r"no path within the limits leads from .* to the point at 0\.5 s"):
-        stream.feed._resume()
+        found_at(stream, turned(6.4))
 
 
 # -- abandoned points --------------------------------------------------------------------------------------
 
 
-def test_abandoned_unsent_points_are_removed() -> None:
+def test_unsent_points_of_an_abandoned_call_are_removed() -> None:
     """The next points begin where the previous ones end; if no points are left, they begin at rest."""
     stream = Streamed(E_SERIES)
     feed = stream.feed
@@ -707,7 +745,7 @@ def test_abandoned_unsent_points_are_removed() -> None:
     assert not np.ptp(stream.path or [list(HOME)], axis=0).any()
 
 
-def test_abandoned_sent_points_are_still_reached() -> None:
+def test_sent_points_of_an_abandoned_call_are_still_reached() -> None:
     stream = Streamed(E_SERIES, buffer=0.3)
     handed = stream.append(waves(0.05, 1.0))
     stream.until(lambda: stream.feed.time > 0.2)
@@ -745,7 +783,7 @@ def test_points_abandoned_after_clear_keep_end() -> None:
     assert end.moment.qd == pytest.approx(wave(end.time).qd, abs=1e-4)
 
 
-def test_stream_is_dry_when_points_are_dropped_after_the_cut() -> None:
+def test_stream_is_dry_after_points_behind_a_cut_were_dropped() -> None:
     """The program has opened an epoch for points that will not be sent."""
     stream = Streamed(E_SERIES)
     handed = stream.append(waves(0.05, 0.5))
@@ -777,7 +815,7 @@ class Paces:
 
 
 @pytest.mark.parametrize(("change", "paces"), [(0.0, 0), (0.0004, 2), (0.0015, 3)])
-def test_pace_changed_by_a_thousandth_is_sent_before_point(change: float, paces: int) -> None:
+def test_pace_change_of_0_1_percent_is_sent_before_a_point(change: float, paces: int) -> None:
     """The program receives one message in each cycle."""
     stream, pace = Streamed(E_SERIES), Paces()
     stream.feed.pace = cast(MemberPace, pace)
@@ -792,7 +830,7 @@ def test_pace_changed_by_a_thousandth_is_sent_before_point(change: float, paces:
     assert (kinds.count(WAIT), kinds.count(POINT)) == (paces, 6 - paces)
 
 
-def test_arm_reports_motion_to_common_pace() -> None:
+def test_stream_reports_its_motion_to_the_common_pace() -> None:
     stream, paces = Streamed(E_SERIES), Paces()
     stream.feed.pace = cast(MemberPace, paces)
     stream.run(5)
@@ -806,7 +844,7 @@ def test_arm_reports_motion_to_common_pace() -> None:
     assert [look.is_led for look in paces.looks].index(False) == pytest.approx(0.09 / stream.period, abs=6)
 
 
-def test_time_is_right_while_pace_changes() -> None:
+def test_stream_time_is_correct_while_the_pace_changes() -> None:
     """The error stays within the two cycles that a pace needs to arrive."""
     stream, paces = Streamed(E_SERIES), Paces()
     stream.feed.pace = cast(MemberPace, paces)

@@ -46,7 +46,7 @@ def point(angle: float, time: float, *more: float) -> TrajectoryPoint:
 # -- appended points ---------------------------------------------------------------------------------------
 
 
-def test_each_point_has_a_step_from_the_previous_point() -> None:
+def test_points_are_joined_by_steps_of_the_degree_they_define() -> None:
     """The degree of a step depends on the quantities that the point has."""
     points = [point(0.1, 2.5), point(0.2, 3.0, 0.3), point(0.3, 3.5, 0.1, 0.2), point(0.2, 4.0)]
     aims = reader().after(points, mark(qd=0.01))
@@ -97,7 +97,7 @@ def test_points_of_replacing_curve_need_minimum_interval() -> None:
 
 
 @pytest.mark.parametrize("time", [math.inf, math.nan, -1.0])
-def test_time_of_pose_is_checked(time: float) -> None:
+def test_time_of_a_pose_point_is_checked(time: float) -> None:
     with pytest.raises(BadValue, match="time"):
         PosePoint([0.1, 0.2, 0.3, 0.0, 0.0, 0.0], time)
 
@@ -110,7 +110,7 @@ def test_first_point_must_be_near_arm(away: float, is_near: bool) -> None:
     with contextlib.nullcontext() if is_near else pytest.raises(BadValue, match=why):
         reader().after(point(away, 2.0), mark())
     there = Trajectory.from_arrays([0, 1], [at(away), at(0.1)])
-    with contextlib.nullcontext() if is_near else pytest.raises(BadValue, match="from where the arm is"):
+    with contextlib.nullcontext() if is_near else pytest.raises(BadValue, match="from the position of the arm"):
         reader().after(there, mark())
 
 
@@ -132,7 +132,7 @@ def test_first_point_must_be_near_arm(away: float, is_near: bool) -> None:
 def test_interval_between_points_is_limited(number: int, time: float, is_refused: bool) -> None:
     """The minimum is two cycles of the controller, for an arm that moves."""
     points = [point(0.0, 2.5)] * number + [point(0.0, time)]
-    why = rf"point {number} \(t = .*: its time is .* s after the previous point, .* expected 0\.004 s .* to 1000 s"
+    why = rf"point {number} \(t = .*: its time is .* s after the previous point .* expected 0\.004 s .* to 1000 s"
     with pytest.raises(BadValue, match=why) if is_refused else contextlib.nullcontext():
         reader().after(points, mark(qd=1e-5))
 
@@ -152,7 +152,7 @@ def test_acceleration_requires_speed() -> None:
         reader().after([point(0.1, 2.4), lacking], mark())
 
 
-@pytest.mark.parametrize(("wrong", "why"), [([3], "point 0 is 3; expected"), (3, "points are 3; expected")])
+@pytest.mark.parametrize(("wrong", "why"), [([3], "point 0 is 3; expected"), (3, "points is 3; expected")])
 def test_other_objects_are_rejected(wrong: Any, why: str) -> None:
     with pytest.raises(BadValue, match=why):
         reader().after(wrong, mark())

@@ -214,16 +214,16 @@ def test_missing_outputs_end_stream(connect: Callable[..., Robot]) -> None:
 
 
 @pytest.mark.slow
-def test_second_producer_is_rejected(connect: Callable[..., Robot]) -> None:
+def test_points_from_a_second_thread_are_rejected(connect: Callable[..., Robot]) -> None:
     robot = connect()
-    told: list[Exception] = []
+    raised: list[Exception] = []
     with robot.motion.stream() as stream:
 
         def append() -> None:
             try:
                 stream.append(points(4, 60))
             except Exception as error:
-                told.append(error)
+                raised.append(error)
 
         thread = threading.Thread(target=append)
         thread.start()
@@ -234,7 +234,7 @@ def test_second_producer_is_rejected(connect: Callable[..., Robot]) -> None:
             stream.replace(0.0, points(61, 62))
         stream.clear()
         thread.join(TIMEOUT)
-        assert [type(error) for error in told] == [Cancelled]
+        assert [type(error) for error in raised] == [Cancelled]
         stream.wait_until_dry(TIMEOUT)
         with pytest.raises(LinkTimeout, match=r"no room for the points within 0\.2 s"):
             stream.append([TrajectoryPoint(point.q, stream.end + point.time) for point in points(20, 60)], wait=0.2)
@@ -280,7 +280,7 @@ def test_another_motion_ends_stream(connect: Callable[..., Robot]) -> None:
 
 
 @pytest.mark.slow
-def test_stream_of_async_robot() -> None:
+def test_async_robot_can_append_points_to_a_stream() -> None:
     async def use() -> None:
         async with urlink.connect_async("sim://ur5e?firmware=5.11") as robot:
             await robot.motion.move_joints(READY, 2.0, 10.0, wait=True)

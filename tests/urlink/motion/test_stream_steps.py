@@ -37,7 +37,7 @@ def moment(speed: float, acceleration: float) -> JointMoment:
         (0.9, 90.0, math.sqrt(6.0 * 0.9 / 50.0)),
     ],
 )
-def test_braking_time(speed: float, acceleration: float, seconds: float) -> None:
+def test_braking_step_has_expected_duration(speed: float, acceleration: float, seconds: float) -> None:
     slow = (JointLimit(3.0, 100.0, 50.0),) * 6 if acceleration or speed < 0.1 else LIMITS
     for sign in (1.0, -1.0):
         step = Step.braking(moment(sign * speed, sign * acceleration), slow)
@@ -61,7 +61,7 @@ def same(one: JointMoment, other: JointMoment, *names: str) -> bool:
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize(("degree", "met"), [(1, ["q"]), (3, ["q", "qd"]), (5, ["q", "qd", "qdd"])])
-def test_step_meets_conditions_of_given_degree(degree: int, met: list[str], seed: int) -> None:
+def test_step_reaches_begin_and_end_for_each_degree(degree: int, met: list[str], seed: int) -> None:
     rng = np.random.default_rng(seed)
     begin, end, length = random_moment(rng), random_moment(rng), float(rng.uniform(0.1, 2.0))
     step = Step.to(begin, end, length, degree)
@@ -109,7 +109,7 @@ def test_step_can_be_divided(degree: int) -> None:
 
 
 @pytest.mark.parametrize(("degree", "count"), [(1, 1), (3, 2), (4, 2), (5, 3)])
-def test_begins_in_compares_quantities_of_the_degree(degree: int, count: int) -> None:
+def test_begins_in_compares_only_quantities_of_its_degree(degree: int, count: int) -> None:
     rng = np.random.default_rng(degree)
     step = Step.to(random_moment(rng), random_moment(rng), 0.8, degree)
     for number, name in enumerate(("q", "qd", "qdd")):
@@ -120,7 +120,7 @@ def test_begins_in_compares_quantities_of_the_degree(degree: int, count: int) ->
                 assert step.begins_in(begin) is (is_same or number >= count)
 
 
-def test_moment_rests_below_a_millionth() -> None:
+def test_moment_counts_as_at_rest_below_1e_6() -> None:
     for speed, acceleration, rests in ((0.9e-6, -0.9e-6, True), (-1.1e-6, 0.0, False), (0.0, 1.1e-6, False)):
         assert moment(speed, acceleration).rests is rests
     assert JointMoment.at_rest([1.0] * 6).rests
@@ -187,7 +187,7 @@ def test_rounding_does_not_exceed_limits() -> None:
             bounds().check([step], ["one"])
 
 
-def test_corner_has_no_acceleration() -> None:
+def test_acceleration_is_not_checked_between_straight_steps() -> None:
     """Speeds jump between straight steps; the program on the robot brakes there."""
     there, back = only(0, 0.0, 0.02), only(0, 0.0, 0.0)
     bounds().check([Step.to(back, there, 0.02, 1), Step.to(there, back, 0.02, 1)], ["one", "two"])
@@ -222,7 +222,7 @@ def test_unknown_arm_has_general_limits() -> None:
     [only(1, 0.0), only(1, 1.0), only(1, -1.0), only(1, 0.5, 0.0, 4.0), only(1, 0.0, 0.0, 9.0), only(1, -1.9)],
     ids=str,
 )
-def test_way_to_moment_is_quick_and_within_limits(begin: JointMoment) -> None:
+def test_path_to_moving_target_is_quick_and_within_limits(begin: JointMoment) -> None:
     """The way takes at most an eighth longer than necessary."""
     end = only(1, 0.3, 0.5)
     way = bounds().way(begin, end, 0.004)
@@ -239,7 +239,7 @@ def test_way_to_moment_is_quick_and_within_limits(begin: JointMoment) -> None:
     assert bounds().first_within(quicker) is None
 
 
-def test_way_takes_given_time_or_at_most_20_s() -> None:
+def test_path_takes_the_given_time_or_at_most_20_s() -> None:
     begin, end = only(0, 0.0), only(0, 0.0, 0.01)
     for least in (3.0, 19.0, 25.0):
         way = bounds().way(begin, end, least)
@@ -253,7 +253,7 @@ def test_way_takes_given_time_or_at_most_20_s() -> None:
 
 
 @pytest.mark.parametrize("number", [0, 1, 15, 16, 17, 31, 32])
-def test_each_tried_time_is_an_eighth_longer(number: int) -> None:
+def test_each_tried_duration_is_12_5_percent_longer(number: int) -> None:
     """The largest speed of such a step is 15/8 of its mean. The limit is 1 rad/s."""
     slow = Bounds(None, (1.0,) * 6, (JointLimit(1.0, 1e3, 1e6),) * 6)
     least = 0.1
@@ -352,14 +352,14 @@ def test_path_joins_curve_at_last_point_if_necessary() -> None:
     (last,) = onto(bounds(), curve, here, 1.0, SHORTEST)
     assert last.time == 1.6
     # However, it does not join at a point that it cannot reach in time.
-    with pytest.raises(BadValue, match=r"the points up to 1\.2 s cannot be reached from where the stream is at 1 s"):
+    with pytest.raises(BadValue, match=r"up to 1\.2 s cannot be reached from the position of the stream at 1 s"):
         onto(bounds(), ramp(0.0, 1.2), here, 1.0, SHORTEST)
 
 
 @pytest.mark.parametrize(
     ("ends", "is_past"), [(1.0, True), (1.0 + 1.4 * SHORTEST, True), (1.0 + 1.6 * SHORTEST, False)]
 )
-def test_past_points_are_rejected(ends: float, is_past: bool) -> None:
+def test_points_in_the_past_are_rejected(ends: float, is_past: bool) -> None:
     curve, here = ramp(ends - 0.5, ends), only(5, 0.2, 0.2)
     why = rf"all points are in the past: the last is at {ends:g} s, but points are needed from 1 s on"
     with pytest.raises(BadValue, match=why) if is_past else contextlib.nullcontext():

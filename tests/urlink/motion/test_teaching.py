@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -60,10 +61,10 @@ def pushed(controller: Controller) -> None:
 @pytest.mark.slow
 def test_taught_waypoints_are_saved_and_played(arm: tuple[Controller, Robot], tmp_path: Path) -> None:
     controller, robot = arm
-    told: list[TaughtPoint] = []
+    reported: list[TaughtPoint] = []
     # An input that is already on records nothing.
     controller.signals.set_digital_input(2, True)
-    with robot.teach(digital_input=2, on_point=told.append, watchdog=2.0) as teaching:
+    with robot.teach(digital_input=2, on_point=reported.append, watchdog=2.0) as teaching:
         first = teaching.record()
         assert first.q == pytest.approx(controller.arm.setpoint.q, abs=1e-3)
         pushed(controller)
@@ -71,7 +72,7 @@ def test_taught_waypoints_are_saved_and_played(arm: tuple[Controller, Robot], tm
         until(lambda: not robot.realtime.wait(5).digital_input_bits & 4)
         controller.signals.set_digital_input(2, True)
         until(lambda: len(teaching.taught) == 2, TIMEOUT)
-    assert told == list(teaching.taught)
+    assert reported == list(teaching.taught)
     assert teaching.taught.model == "UR5e"
     with pytest.raises(LocalError, match="the block is not open"):
         teaching.record()
@@ -79,7 +80,7 @@ def test_taught_waypoints_are_saved_and_played(arm: tuple[Controller, Robot], tm
     teaching.taught.save(file)
     taught = Taught.load(file)
     taught.play(robot, speed=1.0, acceleration=3.0, wait=TIMEOUT)
-    assert robot.realtime.wait(5).q_actual == pytest.approx(told[1].q, abs=1e-3)
+    assert robot.realtime.wait(5).q_actual == pytest.approx(reported[1].q, abs=1e-3)
     controller.faults.protective_stop()
     until(lambda: robot.safety.refusal is not None)
     with pytest.raises(SafetyStop):
@@ -117,7 +118,7 @@ class Said:
     def close(self) -> None:
         self._closed.append(self._name)
 
-    def say(self, x: float = 0.0, time: float = 0.0, inputs: int = 0, status: int = 0) -> None:
+    def send_state(self, x: float = 0.0, time: float = 0.0, inputs: int = 0, status: int = 0) -> None:
         """Send a state with the arm at `x` in all numbers."""
         self._newest = SimpleNamespace(
             time=time,
@@ -147,15 +148,15 @@ class Mode:
 def teaching_with(
     realtime: Said, mode: Mode | None = None, input_bit: int | None = None, buttons: Said | None = None
 ) -> tuple[Teaching, list[TaughtPoint]]:
-    told: list[TaughtPoint] = []
+    reported: list[TaughtPoint] = []
     said, freedrive, released = cast("Any", realtime), cast("Any", mode), cast("Any", buttons)
-    return Teaching(said, "UR5e", freedrive, input_bit, released, told.append), told
+    return Teaching(said, "UR5e", freedrive, input_bit, released, reported.append), reported
 
 
 def test_input_records_when_switched_on_without_bounce() -> None:
     closed: list[str] = []
     realtime = Said(closed, "realtime")
-    teaching, told = teaching_with(realtime, input_bit=3)
+    teaching, reported = teaching_with(realtime, input_bit=3)
     with teaching:
         # The input is on from the start, then other inputs are on, then this input together with others.
         for x, time, inputs in (
@@ -165,35 +166,35 @@ def test_input_records_when_switched_on_without_bounce() -> None:
             (4, 0.0, 0b11001),
             (5, 0.1, 0b1000),
         ):
-            realtime.say(x, time, inputs)
-        assert [point.q[0] for point in told] == [4]
+            realtime.send_state(x, time, inputs)
+        assert [point.q[0] for point in reported] == [4]
         for x, time, inputs in ((6, 0.15, 0), (7, 0.2, 0b1000), (8, 0.25, 0), (9, 0.3, 0b1000), (10, 0.6, 0)):
-            realtime.say(x, time, inputs)
+            realtime.send_state(x, time, inputs)
     assert closed == ["subscription of realtime"]
-    assert [(point.q.tolist(), point.pose.tolist()) for point in told] == [([x] * 6, [-x] * 6) for x in (4, 9)]
-    assert list(teaching.taught) == told
+    assert [(point.q.tolist(), point.pose.tolist()) for point in reported] == [([x] * 6, [-x] * 6) for x in (4, 9)]
+    assert list(teaching.taught) == reported
     assert teaching.taught.model == "UR5e"
 
 
 def test_button_records_position_on_release() -> None:
     closed: list[str] = []
     realtime, buttons = Said(closed, "realtime"), Said(closed, "buttons")
-    teaching, told = teaching_with(realtime, buttons=buttons)
+    teaching, reported = teaching_with(realtime, buttons=buttons)
     with teaching:
         held = RobotStatusBits.POWER_ON | RobotStatusBits.TEACH_BUTTON_PRESSED
         for x, status in enumerate((RobotStatusBits.POWER_ON, held, held, RobotStatusBits.POWER_ON, held, 0, 0)):
-            realtime.say(x)
-            buttons.say(9, status=status)
-    assert [point.q[0] for point in told] == [3, 5]
+            realtime.send_state(x)
+            buttons.send_state(9, status=status)
+    assert [point.q[0] for point in reported] == [3, 5]
     assert closed == ["subscription of buttons", "buttons"]
 
 
 def test_recording_requires_open_block_and_mode() -> None:
     ended: list[str] = []
     realtime, mode = Said(ended, "realtime"), Mode(ended)
-    teaching, told = teaching_with(realtime, mode)
+    teaching, reported = teaching_with(realtime, mode)
     assert cast("Any", teaching.freedrive) is mode
-    realtime.say(0.5)
+    realtime.send_state(0.5)
     with pytest.raises(LocalError, match="the block is not open"):
         teaching.record()
     with teaching as entered:
@@ -208,7 +209,7 @@ def test_recording_requires_open_block_and_mode() -> None:
     mode.error = None
     with pytest.raises(LocalError, match="the block is not open"):
         teaching.record()
-    assert told == [point] == list(teaching.taught)
+    assert reported == [point] == list(teaching.taught)
 
 
 def test_failed_subscription_ends_mode() -> None:
@@ -319,7 +320,7 @@ POINT = {"q": [0] * 6, "pose": [0] * 6}
         ({"format": "poses"}, "expected an object"),
         ({"version": 2}, "unknown version 2; expected 1"),
         ({"model": 5}, '"model" is 5; expected a name or null'),
-        ({"waypoints": {}}, '"waypoints" is not a list'),
+        ({"waypoints": {}}, '"waypoints" must be a list'),
         ({"waypoints": [POINT, [0] * 6]}, 'waypoint 1 has no "q" and "pose"'),
         ({"waypoints": [{"q": [0] * 6}]}, 'waypoint 0 has no "q" and "pose"'),
         ({"waypoints": [{**POINT, "q": [0] * 5}]}, "q of waypoint 0 has the shape"),
@@ -331,7 +332,7 @@ def test_error_describes_invalid_file(tmp_path: Path, held: object, message: str
     if isinstance(held, dict):
         held = {"format": "urlink taught waypoints", "version": 1, "model": None, "waypoints": [], **held}
     file.write_text(json.dumps(held))
-    with pytest.raises(BadValue, match=f"{file}: {message}"):
+    with pytest.raises(BadValue, match=f"{re.escape(str(file))}: {message}"):
         Taught.load(file)
 
 
@@ -349,7 +350,7 @@ def test_impossible_calls_are_rejected(tmp_path: Path) -> None:
     assert len(taught) == 1
     with pytest.raises(BadValue, match="cannot write"):
         taught.save(tmp_path / "none" / "a.json")
-    with pytest.raises(BadValue, match=f"cannot write {tmp_path}"):
+    with pytest.raises(BadValue, match=re.escape(f"cannot write {tmp_path}")):
         taught.save(tmp_path)
     assert list(tmp_path.parent.glob(f".{tmp_path.name}*")) == []
     with pytest.raises(BadValue, match="cannot read"):

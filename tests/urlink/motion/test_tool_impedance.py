@@ -93,7 +93,7 @@ class SoftTool(Soft):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("axis", "in_tool"), [(axis, bool(axis % 2)) for axis in range(6)])
-def test_wrench_moves_tool_by_force_over_stiffness(axis: int, in_tool: bool) -> None:
+def test_displacement_of_tool_is_force_divided_by_stiffness(axis: int, in_tool: bool) -> None:
     stiffness = [500.0, 400.0, 700.0, 30.0, 25.0, 40.0]
     soft = SoftTool(in_tool=in_tool, stiffness=stiffness)
     start = soft.pose
@@ -176,7 +176,7 @@ def test_gains_change_without_jump() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.1, 0.4])
-def test_swing_of_tool_matches_damping_ratio(ratio: float) -> None:
+def test_oscillation_of_tool_matches_the_damping_ratio(ratio: float) -> None:
     """Release the tool sideways on a soft spring. The other axes are stiff; they and the joints damp a little, too."""
     soft = SoftTool(
         stiffness=[1500.0, 200.0, 1500.0, 100.0, 100.0, 100.0],

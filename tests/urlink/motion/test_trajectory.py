@@ -335,12 +335,14 @@ def test_retiming_adds_positions_between_points(monkeypatch: pytest.MonkeyPatch)
     """There are a few hundred at least, but only a few per step of a long trajectory. They are closer near points."""
     asked: list[FloatArray] = []
 
-    def told(q: FloatArray, qd: FloatArray, speed: FloatArray, acceleration: FloatArray, closest: float) -> object:
+    def fake_retime(
+        q: FloatArray, qd: FloatArray, speed: FloatArray, acceleration: FloatArray, closest: float
+    ) -> object:
         asked.append(q[:, 5])
         assert closest == 2e-4
         return [0.0, 1.0], q[[0, -1]], np.zeros((2, 6))
 
-    monkeypatch.setattr("urlink.motion.moves.trajectory.retime", told)
+    monkeypatch.setattr("urlink.motion.moves.trajectory.retime", fake_retime)
     for segments, places in ((1, 200), (2, 100), (50, 20), (100, 20), (400, 5), (1500, 3)):
         trajectory = tool(*range(segments + 1))
         trajectory.retimed(1.0, 1.0)

@@ -95,11 +95,11 @@ def test_requesting_program_moves_arm_along_trajectory(firmware: str) -> None:
     path = Trajectory.from_arrays([0.0, 0.1, 0.25], [HOME, turned(0.05), turned(0.08)])
     server = WaypointServer(path, TOLERANCES, Firmware.parse(firmware), 0.05, 700.0)
     bench = Bench(server.body(ReverseSocket("10.0.0.1", 50001, 7)), Firmware.parse(firmware))
-    told: set[tuple[float, ...]] = set()
+    received: set[tuple[float, ...]] = set()
     servoj = bench.motion.servoj
 
     def watched(q: Sequence[float], *parameters: float) -> object:
-        told.add(parameters)
+        received.add(parameters)
         return servoj(q, *parameters)
 
     bench.motion.servoj = watched  # type: ignore[method-assign,assignment]
@@ -119,7 +119,7 @@ def test_requesting_program_moves_arm_along_trajectory(firmware: str) -> None:
     assert bench.said == []
     assert server.survives_its_program
     assert np.abs(np.array(bench.path)[:, 5]).max() == pytest.approx(0.08, abs=1e-4)
-    assert told == {(bench.period, 0.05, 700.0)}
+    assert received == {(bench.period, 0.05, 700.0)}
 
 
 def test_server_answers_when_arm_is_at_rest() -> None:
@@ -138,7 +138,7 @@ def test_server_answers_when_arm_is_at_rest() -> None:
 
     elsewhere = Served()
     elsewhere.angle = 0.06
-    with pytest.raises(BadValue, match="too far from where the arm is"):
+    with pytest.raises(BadValue, match="too far from the position of the arm"):
         elsewhere.step(b"0\n")
 
 
@@ -172,7 +172,7 @@ def test_arm_is_checked_since_start_of_motion() -> None:
     assert served.server.is_over
 
 
-def test_state_from_the_past_counts_as_one_cycle() -> None:
+def test_state_with_earlier_time_counts_as_one_cycle() -> None:
     served = Served()
     served.step(b"0\n1\n2\n")
     served.BEGIN = 20.0
@@ -266,7 +266,7 @@ def test_offset_from_path_is_faded_out_after_pause() -> None:
         assert off == pytest.approx(left * aside, abs=5e-4)
 
 
-def test_pause_before_start_skips_nothing() -> None:
+def test_pause_before_start_skips_no_waypoint() -> None:
     served = Served()
     served.step(b"0\n")
     served.resume(turned(0.1))
@@ -287,7 +287,7 @@ def test_time_starts_slowly_after_a_long_pause() -> None:
     assert served.server.progress == pytest.approx(before + 0.5 * 0.5 * 0.08 / 2.0, abs=2e-3)
 
 
-def test_passed_points_are_known_from_requests() -> None:
+def test_progress_is_derived_from_the_requested_points() -> None:
     """The program moves to the last but one of its requested points, regardless of the time on this computer."""
     served = Served(Trajectory.from_arrays([0.0, 0.5, 1.0, 1.5, 2.0], [turned(0.05 * n) for n in range(5)]))
     served.set_out()

@@ -500,9 +500,9 @@ def test_states_contain_all_sub_packages(captures: Path, name: str, packages: in
     assert b"".join(map(bytes, state)) == data[5:]
     # The inferred firmware is the oldest one with these sizes. Decoding with the given firmware has the same result.
     assert infer(state.sizes) == Firmware.parse(inferred)
-    (told,) = decode(data, "primary", version)
-    assert told == state
-    assert told.to_dict() == state.to_dict()
+    (decoded,) = decode(data, "primary", version)
+    assert decoded == state
+    assert decoded.to_dict() == state.to_dict()
 
 
 def test_checksums_of_the_captures_agree(captures: Path) -> None:

@@ -26,8 +26,11 @@ from linkcore.errors import (
     RemoteError,
     WrongPeer,
 )
+from linkcore.net.dialogue import Dialogue
 from tests.fakes.dashboard import FIRMWARES, TIMEOUT, ScriptedDashboard, play, protective_stop, stepped, wait
 from tests.listed import assert_listed
+from tests.waiting import threads_named
+from tests.witnesses import sockets_made
 from urlink.protocol.dashboard.client import Dashboard
 from urlink.protocol.dashboard.commands import COMMANDS, GREETING, NOT_IN_REMOTE_CONTROL, DashboardRefused
 from urlink.protocol.dashboard.protocol import ProgramStatus, SavedProgram
@@ -82,10 +85,9 @@ def nowhere(firmware: str) -> Dashboard:
     return Dashboard("no-such-host.invalid", 29999, lambda: Firmware.parse(firmware))
 
 
-def has_come(dashboard: Dashboard) -> bool:
+def has_come(connection: socket.socket) -> bool:
     """Wait until data can be received, or the connection has ended."""
-    assert dashboard._transport._socket is not None
-    return bool(select.select([dashboard._transport._socket], [], [], TIMEOUT)[0])
+    return bool(select.select([connection], [], [], TIMEOUT)[0])
 
 
 # -- every command ---------------------------------------------------------------------------------------
@@ -165,7 +167,7 @@ def test_each_command_works_or_is_refused_on_each_firmware(firmware: str, opened
         ("5.11", lambda d: d.user_role(), "no e-Series controller has it"),
     ],
 )
-def test_missing_command_names_first_firmware_with_it(
+def test_missing_command_error_names_first_firmware(
     firmware: str, call: Callable[[Dashboard], object], which: str
 ) -> None:
     words = rf"^firmware {firmware} has no dashboard command .*; {which}$"
@@ -451,9 +453,10 @@ def test_replies_do_not_depend_on_chunking(chunk: int, opened: Opened) -> None:
 
 def test_command_after_lost_connection_reconnects(opened: Opened) -> None:
     desk, dashboard = opened(answering(stepped("5.11")))
-    dashboard.running()
+    with sockets_made() as made:
+        dashboard.running()
     desk.hang_up()
-    assert has_come(dashboard)
+    assert has_come(made[0])
     dashboard.popup("still here")
     assert desk.connections == 2
     assert desk.lines == ["running", "popup still here"]
@@ -467,7 +470,7 @@ def test_command_is_not_repeated_after_connection_loss(last_words: bytes | None,
         if line != "popup hello":
             return b"Program running: true\n"
         if last_words is not None:
-            desks[0].say(last_words)
+            desks[0].send(last_words)
         return None
 
     desk, dashboard = opened(answer)
@@ -501,7 +504,7 @@ def test_answered_commands_and_queries_are_not_undone(opened: Opened) -> None:
     assert "still be executed" not in str(lost.value)
     with pytest.raises(ConnectionLost, match="it might still be executed"):
         dashboard.brake_release()
-    assert dashboard._undos.pending == ()
+    assert threads_named("undo") == []
     assert desk.lines == ["play", "running", "brake release"]
 
 
@@ -540,10 +543,11 @@ def test_unrequested_line_is_not_used_as_next_reply(opened: Opened) -> None:
 
     desk, dashboard = opened(answer)
     assert dashboard.is_in_remote_control()
-    assert not dashboard.running()
+    with sockets_made() as made:
+        assert not dashboard.running()
     assert desk.connections == 2
-    desk.say(b"Program running: true\n")
-    assert has_come(dashboard)
+    desk.send(b"Program running: true\n")
+    assert has_come(made[0])
     assert dashboard.is_in_remote_control()
     assert desk.connections == 3
 
@@ -561,7 +565,7 @@ def test_slow_incomplete_reply_times_out(opened: Opened) -> None:
 
     def answer(line: str) -> bytes | None:
         while not end.wait(0.01):
-            desks[0].say(b".")
+            desks[0].send(b".")
         return None
 
     desk, dashboard = opened(answer, timeout=SHORT)
@@ -576,13 +580,13 @@ def test_slow_incomplete_reply_times_out(opened: Opened) -> None:
 def test_slow_commands_have_longer_timeouts(opened: Opened, monkeypatch: pytest.MonkeyPatch) -> None:
     _, dashboard = opened(answering(stepped("5.11")), timeout=SHORT)
     waited: list[float] = []
-    ask = dashboard._dialogue.ask
+    ask = Dialogue.ask
 
-    def noting(line: str, timeout: float, *how: Any, **options: Any) -> str:
+    def noting(dialogue: Dialogue, line: str, timeout: float, *how: Any, **options: Any) -> str:
         waited.append(timeout)
-        return ask(line, timeout, *how, **options)
+        return ask(dialogue, line, timeout, *how, **options)
 
-    monkeypatch.setattr(dashboard._dialogue, "ask", noting)
+    monkeypatch.setattr(Dialogue, "ask", noting)
     dashboard.generate_flight_report("controller")
     dashboard.generate_support_file("programs")
     dashboard.running()
@@ -638,7 +642,7 @@ def test_close_wakes_waiting_thread(opened: Opened) -> None:
 # -- threads -----------------------------------------------------------------------------------------------
 
 
-def test_threads_take_turns(opened: Opened) -> None:
+def test_dashboard_commands_of_threads_are_serialised(opened: Opened) -> None:
     desk, dashboard = opened(lambda line: f"{line}\n".encode())
     wrong: list[str] = []
 

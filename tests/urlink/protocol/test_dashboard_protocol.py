@@ -51,7 +51,7 @@ def test_greeting_equals_that_of_a_real_controller() -> None:
     assert GREETING.encode().startswith(DASHBOARD_GREETING)
 
 
-def test_command_and_reply() -> None:
+def test_dashboard_protocol_returns_the_reply_to_each_command() -> None:
     protocol = greeted()
     assert protocol.ask("robotmode") == b"robotmode\n"
     assert protocol.feed(b"Robotmode: IDLE\r\n") == "Robotmode: IDLE"
@@ -236,7 +236,7 @@ def test_refusals_do_not_match_success_replies(name: str) -> None:
 
 @pytest.mark.property
 @given(st.lists(st.binary(max_size=30)), st.booleans())
-def test_outcome_does_not_depend_on_chunking(pieces: list[bytes], is_greeted: bool) -> None:
+def test_result_of_dashboard_bytes_does_not_depend_on_chunking(pieces: list[bytes], is_greeted: bool) -> None:
     """Any bytes give a line or a documented error."""
 
     def outcome(chunks: list[bytes]) -> tuple[str | None, type[LinkError] | None]:

@@ -15,7 +15,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 import urlink
 from linkcore.errors import BadValue, Closed, ConnectFailed, LinkError, LinkTimeout, LocalError, PacketError, WrongPeer
 from tests.fakes.clock import Clock
-from tests.waiting import until
+from tests.waiting import threads_named, until
 from urlink.protocol.gripper.client import Gripper, GripperFault, ObjectStatus
 from urlink.protocol.gripper.protocol import READABLE, WRITABLE, GripperProtocol, get_line, set_line, value_of
 from urlink.simulator import Controller
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.simulated_time
 
 @pytest.mark.property
 @given(st.sampled_from(READABLE), st.integers(0, 255), st.sampled_from(["\n", "\r\n", ""]), st.integers(0, 9))
-def test_value_does_not_depend_on_chunking_and_line_end(name: str, value: int, end: str, at: int) -> None:
+def test_gripper_value_does_not_depend_on_chunking_or_line_end(name: str, value: int, end: str, at: int) -> None:
     protocol = GripperProtocol()
     assert protocol.is_in_step
     assert protocol.ask(get_line(name)) == f"GET {name}\n".encode()
@@ -106,7 +106,7 @@ class GripperMachine(RuleBasedStateMachine):
         assert self.gripper.reply(f"SET {name} {value}") == ("ack" if value <= WRITABLE[name] else "?")
 
     @rule(line=st.text("GSETPOACT 019", max_size=12))
-    def say(self, line: str) -> None:
+    def send_line(self, line: str) -> None:
         self.gripper.reply(line)
 
     @rule(width=st.floats(0.0, 0.085), inside=st.booleans())
@@ -191,7 +191,7 @@ def test_gripper_activates_moves_and_reports_faults() -> None:
             gripper.open()
         assert caught.value.fault == 10
         controller.gripper.is_connected = False
-        with pytest.raises(GripperFault, match="no gripper is connected to it"):
+        with pytest.raises(GripperFault, match="no gripper is connected to the controller"):
             gripper.status()
         controller.gripper.is_connected = True
         gripper.deactivate()
@@ -277,18 +277,20 @@ def test_abandoned_command_is_undone_by_stopping_fingers(
     with pytest.raises(LinkTimeout, match="the abandoned command 'gripper' might still"):
         gripper.set(SPE=9)
     replies.update({"SET GTO 0": b"ack\n", "SET SPE 9": b"ack\n"})
-    assert gripper._undos.settle(10.0)
+    until(lambda: not threads_named("undo"))
     gripper.set(SPE=9)
 
 
-def test_replies_without_line_end_and_wrong_replies(answering: Callable[[dict[str, bytes]], Gripper]) -> None:
+def test_replies_without_line_end_are_read_and_wrong_ones_raise(
+    answering: Callable[[dict[str, bytes]], Gripper],
+) -> None:
     gripper = answering({"GET POS": b"POS 12", "GET STA": b"OBJ 3\n", "SET ACT 1": b"no\n", "GET COU": b"COU 5\nmore"})
     assert gripper.position() == 12
     assert gripper.get("COU") == 5
     assert gripper.position() == 12  # over a new connection
     with pytest.raises(PacketError, match="'OBJ 3' is not a value of STA"):
         gripper.get("STA")
-    with pytest.raises(GripperFault, match="the gripper answered 'no'"):
+    with pytest.raises(GripperFault, match="and answered 'no'"):
         gripper.set(ACT=1)
     with pytest.raises(LinkTimeout, match=r"no reply to 'GET PRE' within 0\.5 s"):
         gripper.get("PRE")
@@ -296,16 +298,16 @@ def test_replies_without_line_end_and_wrong_replies(answering: Callable[[dict[st
 
 
 class FingersThatMove(dict[str, bytes]):
-    """Replies of fingers that rest at 0, accept position 75 after `told` requests, and reach it after `arrived`."""
+    """Replies of fingers that rest at 0, accept position 75 after `accepted` requests, and reach it after `arrived`."""
 
-    def __init__(self, told: int, arrived: int) -> None:
-        self._told = told
+    def __init__(self, accepted: int, arrived: int) -> None:
+        self._accepted = accepted
         self._arrived = arrived
         self._asked = 0
 
     def get(self, line: str, default: bytes = b"") -> bytes:  # type: ignore[override]
-        requested = 0 if self._asked < self._told else 75
-        is_moving = self._told <= self._asked < self._arrived
+        requested = 0 if self._asked < self._accepted else 75
+        is_moving = self._accepted <= self._asked < self._arrived
         self._asked += 1
         position = 72 if is_moving else requested
         values = {"STA": 3, "OBJ": 0 if is_moving else 3, "POS": position, "PRE": requested, "FLT": 0}
@@ -313,11 +315,13 @@ class FingersThatMove(dict[str, bytes]):
         return f"{name} {values[name]}\n".encode()
 
 
-@pytest.mark.parametrize(("told", "arrived"), [(told, told + way) for told in range(6) for way in (1, 2, 4, 5, 20)])
+@pytest.mark.parametrize(
+    ("accepted", "arrived"), [(accepted, accepted + way) for accepted in range(6) for way in (1, 2, 4, 5, 20)]
+)
 def test_status_at_rest_has_final_position(
-    answering: Callable[[dict[str, bytes]], Gripper], told: int, arrived: int
+    answering: Callable[[dict[str, bytes]], Gripper], accepted: int, arrived: int
 ) -> None:
-    gripper = answering(FingersThatMove(told, arrived))
+    gripper = answering(FingersThatMove(accepted, arrived))
     for _ in range(6):
         status = gripper.status()
         if not status.is_moving and status.requested == 75:
@@ -325,7 +329,7 @@ def test_status_at_rest_has_final_position(
     assert status.position == 75
 
 
-def test_threads_take_turns(answering: Callable[[dict[str, bytes]], Gripper]) -> None:
+def test_gripper_commands_of_threads_are_serialised(answering: Callable[[dict[str, bytes]], Gripper]) -> None:
     gripper = answering({f"GET {name}": f"{name} {at}\n".encode() for at, name in enumerate(READABLE)})
     wrong: list[LinkError | str] = []
 

@@ -554,7 +554,7 @@ def test_sessions_are_independent() -> None:
     assert other.framer.rest == b""
 
 
-def test_text_can_contain_headers() -> None:
+def test_text_that_contains_packet_headers_is_framed_whole() -> None:
     """While the boundary is known, a size is trusted, and the inside of a package is not searched."""
     text = bytes(TextMessage(text="\x00\x00\x00\x18\x14\x00\x00\x02\x2c\x10"))
     parts = [VERSION, text, robot_state()]

@@ -165,7 +165,7 @@ def test_programs_are_listed_uploaded_and_downloaded(
     for name in ("pl ace", "new"):
         del controller.pendant.files[name]
     for firmware, error in (
-        (X11, "has no programs in its Robot API; 10.12 or later is required"),
+        (X11, "cannot list or store programs; 10.12 or later is required"),
         (Firmware(5, 11), "has a dashboard server, which"),
     ):
         with pytest.raises(LocalError, match=error):
@@ -215,7 +215,7 @@ LACKING: list[tuple[Callable[[Dashboard], object], str]] = [
     (lambda desk: desk.set_operational_mode("manual"), "'set operational mode'"),
     (lambda desk: desk.shutdown(), "'shutdown'"),
     (lambda desk: desk.quit(), "'quit'"),
-    (lambda desk: desk.send("running"), "has no dashboard server to send a line to"),
+    (lambda desk: desk.send("running"), "has no dashboard server for send"),
 ]
 
 
@@ -226,7 +226,7 @@ def test_missing_command_names_alternative(call: Callable[[Dashboard], object], 
         call(nowhere)
 
 
-def test_missing_request_names_first_firmware_with_it(controller: Controller) -> None:
+def test_missing_request_error_names_first_firmware(controller: Controller) -> None:
     now = X7
     desk = Dashboard("no-such-host.invalid", None, lambda: now, api_port=None)
     with pytest.raises(LocalError, match="has no Robot API"):
@@ -309,7 +309,7 @@ def test_refused_connection_names_service_setting() -> None:
         with socket.create_server(("127.0.0.1", 0)) as gone:
             dead = gone.getsockname()[1]
         address = f"ur://127.0.0.1?primary={controller.ports['primary']}&realtime={dead}&rtde={dead}&dashboard={dead}"
-        where = r"on firmware 5\.25 the service may be switched off \(Settings > Security > Services"
+        where = r"on firmware 5\.25 the service might be switched off \(Settings > Security > Services"
         with urlink.connect(address) as robot:
             for use in (
                 robot.realtime.wait,
@@ -318,13 +318,14 @@ def test_refused_connection_names_service_setting() -> None:
             ):
                 with pytest.raises(ConnectFailed, match=where):
                     use()
-        with pytest.raises(ConnectFailed, match=r"on firmware 5\.17 or later, and on PolyScope X, the service may"):
+        with pytest.raises(ConnectFailed, match=r"on firmware 5\.17 or later, and on PolyScope X, the service might"):
             urlink.connect(f"ur://127.0.0.1?primary={dead}&secondary={dead}")
 
 
 def test_standard_ports_depend_on_firmware() -> None:
-    assert Controller("UR5e", "10.12", ports="standard")._numbers.keys() == PORTS.keys() - {"dashboard"}
-    assert Controller("UR5e", "5.11", ports="standard")._numbers.keys() == PORTS.keys() - {"robot_api"}
+    for firmware, missing in (("10.12", "dashboard"), ("5.11", "robot_api")):
+        with Controller("UR5e", firmware, ports="standard") as controller:
+            assert controller.ports.keys() == PORTS.keys() - {missing}
 
 
 # -- scripted replies ------------------------------------------------------------------------------------

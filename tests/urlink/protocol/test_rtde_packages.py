@@ -101,7 +101,7 @@ def test_handwritten_replies_are_decoded(
     assert bytes(kind(f"{protocol}.0", **{name: value for name, value in values.items() if value is not None})) == data
 
 
-def test_split_names() -> None:
+def test_split_names_drops_one_trailing_empty_name() -> None:
     assert split_names("a, b ,") == ("a", "b")
     assert split_names("") == ()
     assert split_names(",a") == ("", "a")

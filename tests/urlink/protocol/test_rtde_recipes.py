@@ -160,7 +160,7 @@ def test_mismatched_packages_and_values_are_rejected() -> None:
     recipe = recipe_of("timestamp", 3)
     data = recipe.encode({"timestamp": 1.0})
     for bad in (data[:-1], data + b"\0"):
-        with pytest.raises(PacketError, match="does not fit recipe 3: expected 12 bytes"):
+        with pytest.raises(PacketError, match="its size is not the size of recipe 3: expected 12 bytes"):
             recipe.decode(bad)
     with pytest.raises(PacketError, match="belongs to recipe 4, not 3"):
         recipe.decode(data[:3] + b"\4" + data[4:])

@@ -105,7 +105,9 @@ def test_release_table_equals_sizes_of_layouts(release: Release) -> None:
         ("10.7", 1220, None, None),
     ],
 )
-def test_total_sizes_of_the_reference(version: str, realtime: int, first: int | None, later: int | None) -> None:
+def test_state_sizes_equal_those_of_the_reference(
+    version: str, realtime: int, first: int | None, later: int | None
+) -> None:
     release = release_of(Firmware.parse(version))
     assert release.realtime == realtime
     assert first is None or release.first_state_size == first
@@ -170,7 +172,7 @@ SIZES: dict[type[State], dict[str, int]] = {
 
 
 @pytest.mark.parametrize("cls", SIZES, ids=lambda cls: cls.__name__)
-def test_sizes_of_the_reference(cls: type[State]) -> None:
+def test_packet_sizes_equal_those_of_the_reference(cls: type[State]) -> None:
     for version, size in SIZES[cls].items():
         state: Any = cls(version)
         assert len(bytes(state)) == cls.LAYOUTS.of(version).size == size
@@ -237,7 +239,7 @@ LATER |= {"safety_status": 1108, "reserved_e": 1116, "payload_mass": 1140, "payl
         ("5.10", CB3 | LATER),
     ],
 )
-def test_realtime_offsets(version: str, expected: dict[str, int]) -> None:
+def test_realtime_fields_have_expected_offsets(version: str, expected: dict[str, int]) -> None:
     layout = RealtimeState.LAYOUTS.of(version)
     assert {name: place.offset for name, place in layout.places.items()} == expected
     # Check the bytes as well as the declaration: write each field at its offset and read it back.
@@ -327,7 +329,9 @@ def test_joints_are_sent_one_by_one() -> None:
         ),
     ],
 )
-def test_offsets_in_sub_packages(cls: type[State], version: str, offsets: dict[str, int]) -> None:
+def test_field_offsets_in_sub_packages_equal_the_reference(
+    cls: type[State], version: str, offsets: dict[str, int]
+) -> None:
     places = cls.LAYOUTS.of(version).places
     assert {name: places[name].offset for name in offsets} == offsets
 
@@ -339,7 +343,7 @@ def message(kind: int, payload: bytes) -> bytes:
     return struct.pack(">iBQbB", 15 + len(payload), 20, 0, -2, kind) + payload
 
 
-def test_version_message_with_and_without_build() -> None:
+def test_version_message_is_decoded_with_and_without_build() -> None:
     old = struct.pack(">B9sBBi", 9, b"URControl", 3, 2, 19293) + b"Oct 01 2015, 10:00:00"
     (state,) = decode(message(3, old), "primary")
     assert isinstance(state, VersionMessage)
@@ -356,7 +360,7 @@ def test_version_message_with_and_without_build() -> None:
     )
 
 
-def test_popup_and_report_of_cb2() -> None:
+def test_popup_and_report_messages_of_cb2_are_decoded() -> None:
     popup = message(2, b"\x01\x00\x05titletext of the popup")
     (state,) = decode(popup, "primary", "1.8")
     assert isinstance(state, PopupMessage)
@@ -478,14 +482,14 @@ def test_error_inside_state_names_sub_package_and_offset() -> None:
     good = bytes(ToolData())
     body = good + struct.pack(">iB", 36, 2) + good[5:-1]
     data = bytes(urlink.packets.KeyMessage()) + struct.pack(">iB", 5 + len(body), 16) + body
-    with pytest.raises(PacketError, match="in a robot state, packet too short") as caught:
+    with pytest.raises(PacketError, match="in a robot state, the packet is too short") as caught:
         decode(data, "primary")
     error = caught.value
     assert (error.packet, error.expected, error.actual) == ("ToolData", 37, 36)
     assert error.offset == len(data) - 36
     with pytest.raises(PacketError, match="sub-package 2 does not fit"):
         decode(struct.pack(">iBiB", 17, 16, 7, 99) + b"xx" + struct.pack(">iB", 99, 2), "primary")
-    with pytest.raises(PacketError, match="sub-package header cut off"):
+    with pytest.raises(PacketError, match="the header of a sub-package is cut off"):
         decode(struct.pack(">iBiB", 12, 16, 5, 99) + b"xx", "primary")
 
 
@@ -494,7 +498,7 @@ def test_error_inside_state_names_sub_package_and_offset() -> None:
 
 @pytest.mark.parametrize("coding", ["integer", "double"])
 @pytest.mark.parametrize("version", ["1.8", "3.4", "5.10"])
-def test_digital_bits_in_both_codings(version: str, coding: str) -> None:
+def test_digital_bits_are_decoded_from_integers_and_doubles(version: str, coding: str) -> None:
     mask = int(DigitalBits.STANDARD_0 | DigitalBits.STANDARD_2 | DigitalBits.TOOL_1)
     data = bytearray(bytes(RealtimeState(version)))
     cell = struct.pack(">Q", mask) if coding == "integer" else struct.pack(">d", float(mask))
@@ -522,7 +526,7 @@ ENUMS = [
 ]
 
 
-def test_enums_are_found() -> None:
+def test_twenty_enums_are_found() -> None:
     assert len(ENUMS) == 20
 
 
@@ -534,7 +538,7 @@ def test_enums_accept_unknown_numbers(cls: type[OpenInt]) -> None:
     assert len({member.value for member in cls}) == len(cls)
 
 
-def test_numbers_of_the_reference() -> None:
+def test_mode_numbers_equal_those_of_the_reference() -> None:
     assert [mode.value for mode in RobotMode] == list(range(-1, 9))
     assert [mode.value for mode in RobotModeCB2] == list(range(11))
     assert (RobotMode(7).name, RobotModeCB2(7).name) == ("RUNNING", "NO_POWER")
@@ -553,7 +557,7 @@ def test_robot_modes_depend_on_generation() -> None:
     assert RobotModeData("5.4", robot_mode=100).robot_mode == 100
 
 
-def test_unknown_codes_decode() -> None:
+def test_unknown_codes_are_decoded_as_unknown_numbers() -> None:
     state = RealtimeState("5.10", robot_mode=99, joint_modes=[1, 2, 3, 4, 5, 6], safety_mode=-7, program_state=1000)
     assert state.joint_modes == (1, 2, 3, 4, 5, 6)
     assert state.to_dict()["robot_mode"] == "UNKNOWN_99"

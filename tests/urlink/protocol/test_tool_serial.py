@@ -154,7 +154,7 @@ def test_late_reply_is_not_used_for_next_request(robot: urlink.Robot) -> None:
     assert robot.tool_serial.ask(b"cd", 2) == b"cd"
 
 
-def test_cut_connection_is_made_again(robot: urlink.Robot) -> None:
+def test_serial_line_reconnects_after_a_cut(robot: urlink.Robot) -> None:
     robot.io.set_tool_communication()
     robot.controller.tool_serial.device = lambda data: data
     assert robot.tool_serial.ask(b"ab", 2) == b"ab"
@@ -163,7 +163,7 @@ def test_cut_connection_is_made_again(robot: urlink.Robot) -> None:
     assert robot.tool_serial.ask(b"cd", 2) == b"cd"
 
 
-def test_threads_take_turns(robot: urlink.Robot) -> None:
+def test_serial_requests_of_threads_are_serialised(robot: urlink.Robot) -> None:
     robot.io.set_tool_communication()
     robot.controller.tool_serial.device = lambda data: data
     wrong = []

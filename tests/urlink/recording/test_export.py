@@ -112,6 +112,7 @@ def test_export_writes_h5(recording: urlink.Recording, tmp_path: Path) -> None:
 
 
 def test_export_writes_mcap_for_ros(recording: urlink.Recording, tmp_path: Path) -> None:
+    reader("mcap")
     found = read_mcap(recording.export(tmp_path / "run.mcap"))
     realtime = recording.realtime
     counts = Counter({topic: len(messages) for topic, messages in found.items()})
@@ -159,7 +160,7 @@ def test_failed_export_keeps_existing_file(recording: urlink.Recording, tmp_path
     path.write_text("precious")
     for fields, complaint in (
         (["q_actuel"], "did you mean q_actual"),
-        (["q_actual", "joint_data.q_actual"], r"can hold only one table, and these are realtime, primary"),
+        (["q_actual", "joint_data.q_actual"], r"can hold only one table, but there are realtime, primary"),
     ):
         with pytest.raises(urlink.BadValue, match=complaint):
             recording.export(path, fields)
@@ -253,6 +254,7 @@ def test_export_command_writes_files(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert rhdlink.cli.main(["export", str(tmp_path / "drive.urlog"), str(drive)]) == 0
     assert "2 batches" in capsys.readouterr().out
     assert len(drive.read_text().splitlines()) == 3
+    reader("mcap")
     assert rhdlink.cli.main(["export", str(tmp_path / "drive.urlog"), str(tmp_path / "drive.mcap")]) == 0
     table = rhdlink.load(tmp_path / "drive.urlog")
     batches = read_mcap(tmp_path / "drive.mcap")["/rhd"]

@@ -73,7 +73,7 @@ def test_column_as_attribute_raises_with_a_hint(run: urlink.Recording) -> None:
         held.realtime.q_actual  # noqa: B018
 
 
-def test_line_is_interrupted_at_lost_connection(tmp_path: Path) -> None:
+def test_plot_line_is_interrupted_at_a_lost_connection(tmp_path: Path) -> None:
     writer = RecordingWriter(tmp_path / "run.urlog")
     channel = writer.add_channel({"name": "realtime"})
     for number in range(20):
@@ -182,7 +182,7 @@ def test_notebook_plot_shows_every_received_state(monkeypatch: pytest.MonkeyPatc
         return SimpleNamespace(update=show)
 
     shell = SimpleNamespace(kernel=None, events=SimpleNamespace(register=lambda event, call: None))
-    monkeypatch.setattr(process, "_watched", {"exit", "SIGTERM", "notebook"})
+    monkeypatch.setattr(process, "_watched", dict.fromkeys(("exit", "SIGTERM", "notebook"), "watched"))
     monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: shell))
     monkeypatch.setitem(sys.modules, "IPython.display", SimpleNamespace(display=display))
     with urlink.connect("sim://") as robot:

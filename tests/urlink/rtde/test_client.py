@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import pickle
 import threading
 import time
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -14,6 +16,7 @@ import pytest
 
 import urlink
 from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout, LocalError
+from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import Backoff, ConnectionState
 from linkcore.wire.packet import State, Vector
 from tests.fakes.rtde import ScriptedRtde
@@ -29,7 +32,7 @@ from urlink.protocol.rtde.packets import (
     RtdeMessage,
     StartRequest,
 )
-from urlink.rtde import Outputs, Rtde
+from urlink.rtde import Inputs, Outputs, Rtde, client
 from urlink.session.identity import Identity
 from urlink.session.source import Source
 
@@ -45,7 +48,7 @@ class Cell(urlink.rtde.Outputs):
 
 
 @contextmanager
-def rtde_of(*desks: ScriptedRtde, firmware: str = "5.11", refusal: str = "") -> Iterator[Rtde]:
+def rtde_of(*desks: ScriptedRtde, firmware: str = "5.11", refusal: str = "", timeout: float = 2.0) -> Iterator[Rtde]:
     """Provide an `Rtde` that connects to these scripted controllers, one after the other."""
     left = list(desks)
     known = Firmware.parse(firmware)
@@ -54,7 +57,7 @@ def rtde_of(*desks: ScriptedRtde, firmware: str = "5.11", refusal: str = "") -> 
         assert interface == "rtde"
         return left.pop(0)
 
-    source = Source(lambda: Identity(known, True, None), transport, AT_ONCE, 2.0, None, False)
+    source = Source(lambda: Identity(known, True, None), transport, AT_ONCE, timeout, None, False)
     rtde = Rtde("desk", source, lambda: known, refusal=refusal)
     try:
         yield rtde
@@ -72,7 +75,7 @@ def test_outputs_streams_variables() -> None:
         assert desk.opened == 0, "the stream must not connect before its first use"
         state = stream.wait(2.0)
         assert state.actual_q.tolist() == [0.0] * 6
-        desk.say(timestamp=7.0, actual_q=[1, 2, 3, 4, 5, 6])
+        desk.send_values(timestamp=7.0, actual_q=[1, 2, 3, 4, 5, 6])
         until(lambda: stream.latest is not None and stream.latest.timestamp == 7.0)
         newest = stream.latest
         assert newest is not None
@@ -97,7 +100,7 @@ def test_outputs_accepts_a_declared_class() -> None:
         assert stream.left_out == ("payload",)
         got: list[Cell] = []
         stream.subscribe(got.append)
-        desk.say(output_int_register_24=5)
+        desk.send_values(output_int_register_24=5)
         until(lambda: bool(got))
         assert got[0].output_int_register_24 == 5
 
@@ -146,7 +149,7 @@ def test_recipe_is_restored_after_lost_connection() -> None:
         until(lambda: len(times) == 1)
         desk.put(ConnectionLost("cut"))
         until(lambda: len(times) == 2)  # each connection starts with a data package
-        desk.say(timestamp=9.0)
+        desk.send_values(timestamp=9.0)
         until(lambda: times[-1] == 9.0)
         assert stream.stats.reconnects == 1
         assert [type(request).__name__ for request in desk.asked].count("OutputsRequest") == 2
@@ -183,7 +186,7 @@ def test_mismatched_package_is_only_counted() -> None:
         stream = rtde.outputs("timestamp")
         stream.start()
         desk.put(b"\0\x05U\1\0")
-        desk.say(timestamp=3.0)
+        desk.send_values(timestamp=3.0)
         until(lambda: stream.latest is not None and stream.latest.timestamp == 3.0)
         assert stream.stats.failed == 1
 
@@ -236,15 +239,15 @@ def test_concurrent_sends_are_serialised(monkeypatch: pytest.MonkeyPatch) -> Non
     desk = ScriptedRtde()
     with rtde_of(desk) as rtde, rtde.inputs("input_int_register_24", "input_int_register_25") as inputs:
         inputs.send(input_int_register_24=0, input_int_register_25=0)
-        send, other = inputs._connection.send, threading.Thread(target=inputs.send, kwargs={"input_int_register_25": 2})
+        send, other = Connection.send, threading.Thread(target=inputs.send, kwargs={"input_int_register_25": 2})
 
         def slow(*arguments: Any) -> None:
-            monkeypatch.setattr(inputs._connection, "send", send)
+            monkeypatch.setattr(Connection, "send", send)
             other.start()
             other.join(0.05)  # without serialisation, the other thread would send its package now
             send(*arguments)
 
-        monkeypatch.setattr(inputs._connection, "send", slow)
+        monkeypatch.setattr(Connection, "send", slow)
         inputs.send(input_int_register_24=1)
         other.join(10)
         assert desk.written == {"input_int_register_24": 1, "input_int_register_25": 2}
@@ -262,7 +265,7 @@ def test_concurrent_sends_are_serialised(monkeypatch: pytest.MonkeyPatch) -> Non
         ({"tool_digital_output": {2: True}}, "output of tool_digital_output=2; expected a whole number from 0 to 1"),
         ({"tool_digital_output": {True: True}}, "output of tool_digital_output=True; expected a whole number"),
         ({"tool_digital_output": {0: 7}}, "expected True or False"),
-        ({"tool_digital_output": 4}, "expected bits of 0x3"),
+        ({"tool_digital_output": 4}, "expected a number that sets only bits of 0x3"),
         ({"input_int_register_24": 2**31}, "expected -2147483648 to 2147483647"),
         ({"input_int_register_24": 1.0}, "expected a whole number"),
         ({"external_force_torque": [0, 0, 0]}, "expected 6 finite numbers"),
@@ -297,11 +300,15 @@ def test_closed_streams_and_inputs_are_released() -> None:
     with rtde_of(*desks) as rtde:
         with rtde.outputs("timestamp") as stream:
             stream.wait(2.0)
-        assert desks[0]._closed
+        assert desks[0].is_closed
         assert stream.is_over
-        rtde.inputs("input_int_register_24").close()
-        held = rtde.outputs("timestamp")
-        assert rtde._open == [held]
+        inputs = rtde.inputs("input_int_register_24")
+        inputs.close()
+        released: list[weakref.ref[Any]] = [weakref.ref(stream), weakref.ref(inputs)]
+        del stream, inputs
+        rtde.outputs("timestamp")  # forgets those that are closed
+        gc.collect()
+        assert [each() for each in released] == [None, None]
 
 
 @pytest.mark.simulated_time
@@ -323,17 +330,26 @@ def test_close_ends_unanswered_claim() -> None:
         rtde.close()
         thread.join()
         assert ended[0] - begun < 0.1, "the claim waited for its timeout"
-        assert desk._closed
+        assert desk.is_closed
 
 
-def test_failed_claim_is_not_kept() -> None:
+def test_failed_claim_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     desk = ScriptedRtde()
     desk.held = {"speed_slider_fraction"}
     with rtde_of(desk, ScriptedRtde()) as rtde:
+        made: list[weakref.ref[Inputs]] = []
+
+        def noting(*arguments: Any) -> Inputs:
+            inputs = Inputs(*arguments)
+            made.append(weakref.ref(inputs))
+            return inputs
+
+        monkeypatch.setattr(client, "Inputs", noting)
         with pytest.raises(InputInUse):
             rtde.inputs("speed_slider_fraction")
         held = rtde.inputs("input_int_register_24")
-        assert rtde._open == [held]
+        gc.collect()
+        assert [each() for each in made] == [None, held]
 
 
 def test_write_does_not_wait() -> None:
@@ -407,7 +423,7 @@ def test_who_holds_lists_unavailable_inputs() -> None:
             "external_force_torque": "not there",
             "input_int_register_0": "in use",
         }
-    assert desk._closed
+    assert desk.is_closed
 
 
 def test_missing_lists_variables_in_limited_requests() -> None:
@@ -508,8 +524,7 @@ def test_late_reply_is_not_used_for_next_claim() -> None:
         late.extend(desk.usual(request))
         return []
 
-    with rtde_of(desk) as rtde:
-        rtde._source = rtde._source._replace(timeout=0.2)
+    with rtde_of(desk, timeout=0.2) as rtde:
         registers = rtde.registers()
         desk.answers[InputsRequest] = keep
         with pytest.raises(LinkTimeout, match="input_int_register_24 was not answered"):
@@ -534,12 +549,12 @@ def test_read_methods_return_output_registers() -> None:
     with rtde_of(*desks) as rtde:
         registers = rtde.registers(lower=True)
         assert registers.read_integer(0) == 0
-        desks[0].say(output_int_register_47=-5)
+        desks[0].send_values(output_int_register_47=-5)
         until(lambda: registers.read_integer(47) == -5)
         assert registers.read_float(30) == 0.0
         assert registers.read_bit(64) is False
         assert registers.read_bit(33) is False
-        desks[3].say(output_bit_registers32_to_63=2)
+        desks[3].send_values(output_bit_registers32_to_63=2)
         until(lambda: registers.read_bit(33))
 
 

@@ -75,7 +75,7 @@ def test_requests_are_sent_in_order() -> None:
     assert [claim.number for claim in dialogue.claims] == [1]
     state = received(transport, plan)[-1]
     assert (state.timestamp, state.actual_q.tolist()) == (0.0, [0.0] * 6)
-    desk.say(timestamp=41.0)
+    desk.send_values(timestamp=41.0)
     data, _ = transport.receive(1.0)
     assert data == bytes(desk.data(timestamp=41.0))
 
@@ -92,13 +92,13 @@ def test_interrupted_open_closes_connection(monkeypatch: pytest.MonkeyPatch) -> 
     desk = ScriptedRtde()
 
     def interrupted(transport: RtdeTransport, dialogue: object) -> None:
-        assert not desk._closed
+        assert not desk.is_closed
         raise KeyboardInterrupt
 
     monkeypatch.setattr(RtdeTransport, "_begin", interrupted)
     with pytest.raises(KeyboardInterrupt):
         RtdeTransport(desk, Requests(("timestamp",))).open(5.0)
-    assert desk._closed
+    assert desk.is_closed
 
 
 def test_missing_optional_variable_is_left_out(caplog: pytest.LogCaptureFixture) -> None:
@@ -135,7 +135,7 @@ def test_unknown_type_counts_as_missing_variable() -> None:
 def test_input_in_use_raises() -> None:
     desk = ScriptedRtde()
     desk.held = {"speed_slider_mask"}
-    with pytest.raises(InputInUse, match="another client or a fieldbus uses speed_slider_mask") as caught:
+    with pytest.raises(InputInUse, match="another client or a fieldbus holds speed_slider_mask") as caught:
         opened(desk, Requests(inputs=[("input_int_register_24",), ("speed_slider_mask", "speed_slider_fraction")]))
     assert caught.value.names == ("speed_slider_mask",)
 
@@ -262,7 +262,7 @@ def test_transport_disconnects_when_dialogue_fails() -> None:
     transport = RtdeTransport(desk, Requests(("timestamp",)))
     with pytest.raises(NoSuchVariable):
         transport.open(1.0)
-    assert desk._closed
+    assert desk.is_closed
     refused = ScriptedRtde(ConnectFailed("refused"))
     with pytest.raises(ConnectFailed):
         RtdeTransport(refused, Requests(("timestamp",))).open(1.0)
@@ -273,7 +273,7 @@ def test_transport_disconnects_when_dialogue_fails() -> None:
     [
         ([], "expected the names"),
         ("actual_q", "expected the names"),
-        (["actual_q", "timestamp", "actual_q"], "more than once: actual_q"),
+        (["actual_q", "timestamp", "actual_q"], "actual_q was given more than once"),
         (["actual q"], "is not a valid name"),
         (["a,b"], "is not a valid name"),
         ([""], "is not a valid name"),

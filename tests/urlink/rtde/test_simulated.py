@@ -121,7 +121,7 @@ def test_recording_contains_the_recipe(tmp_path: Path) -> None:
         assert (states[0].payload, states[-1].payload) == (None, None)
         assert again.stats.failed == 0
     with urlink.connect(f"replay://{path}?rate=max") as robot:
-        with pytest.raises(BadValue, match="recorded without actual_qd; it has timestamp, actual_q"):
+        with pytest.raises(BadValue, match="recorded without actual_qd; it contains timestamp, actual_q"):
             robot.rtde.outputs("actual_qd")
         with pytest.raises(LocalError, match="recording"):
             robot.rtde.inputs("input_int_register_24")
@@ -130,11 +130,11 @@ def test_recording_contains_the_recipe(tmp_path: Path) -> None:
         assert robot.rtde.outputs("actual_q").wait().actual_q.shape == (6,)
 
 
-def test_recording_without_rtde_raises(tmp_path: Path) -> None:
+def test_replay_without_rtde_raises_for_outputs(tmp_path: Path) -> None:
     path = tmp_path / "run.urlog"
     with urlink.connect("sim://ur5e?firmware=5.4") as robot, robot.record(path, ["realtime"]):
         robot.realtime.wait()
-    with urlink.connect(f"replay://{path}") as robot, pytest.raises(BadRecording, match="no rtde"):
+    with urlink.connect(f"replay://{path}") as robot, pytest.raises(BadRecording, match="has no channel 'rtde'"):
         robot.rtde.outputs("actual_q")
 
 

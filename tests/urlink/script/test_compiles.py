@@ -32,7 +32,7 @@ def test_wrapped_programs_compile(name: str, firmware: str, permission: Permissi
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES)
-def test_commands_compile(firmware: str) -> None:
+def test_every_script_command_compiles(firmware: str) -> None:
     version = Firmware.parse(firmware)
     statements = [
         *(commands.digital_out(version, bank, 0, True) for bank in (commands.STANDARD, commands.TOOL)),

@@ -159,7 +159,7 @@ def test_number_of_tokens_depends_on_firmware(firmware: str, tokens: int) -> Non
     assert StartPlace(None, ()).on(Firmware.parse(firmware)).tokens == 0
 
 
-def test_words_contain_line_of_user_source() -> None:
+def test_error_messages_get_the_line_of_the_user_source() -> None:
     assert wrap("a\nb\nc", "t").words("syntax_error_on_line:4:end:") == "syntax_error_on_line:2:end:"
     assert wrap("a", "t").words("compile_error_name_not_found:a:") == "compile_error_name_not_found:a:"
 
@@ -172,7 +172,7 @@ def test_words_contain_line_of_user_source() -> None:
         ("def f():\n  a()", "line 1 .* `def` has no `end`"),
         ("def f():\n  if a:\n  b()\nend", "line 1 .* `def` has no `end`"),
         ("while True:\n  a()", "`while` has no `end`"),
-        ("a()\nend", "line 2 .* an `end` has no block"),
+        ("a()\nend", "line 2 .* this `end` closes no block"),
         ("def f():\nend\nend", "line 3"),
         ('textmsg("a)', "line 1 .* not closed"),
         ("a\0b", "control character"),

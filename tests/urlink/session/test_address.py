@@ -179,7 +179,7 @@ def test_missing_interface_of_recording_raises_immediately(tmp_path: Path) -> No
         robot.primary.wait()
     with urlink.connect(f"replay://{tmp_path}/run.urlog?rate=max") as replayed:
         assert (str(replayed.firmware), replayed.model) == ("3.4", "UR5")
-        with pytest.raises(BadRecording, match="contains no realtime; it contains primary"):
+        with pytest.raises(BadRecording, match="has no channel 'realtime'; its channels are primary"):
             replayed.realtime  # noqa: B018
         assert list(replayed.primary)
 

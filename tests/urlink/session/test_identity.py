@@ -268,7 +268,7 @@ def test_identify_leaves_no_threads() -> None:
 # -- kinematics ---------------------------------------------------------------------------------------
 
 
-def test_kinematics_of_unknown_arm_raise() -> None:
+def test_kinematics_of_an_unknown_arm_raise_local_error() -> None:
     for model, why in ((None, "does not report its arm model"), ("UR77", "unknown arm model UR77")):
         with pytest.raises(LocalError, match=why):
             _ = Identity(Firmware(1, 6), True, model).kinematics
@@ -283,7 +283,7 @@ def test_kinematics_without_dh_use_published_values() -> None:
     assert repr(Identity(Firmware(5, 11), True, "UR10e").kinematics) == "<Arm UR10e, as published>"
 
 
-def test_doubt_during_query_causes_another_query() -> None:
+def test_identity_is_queried_again_if_the_stream_reconnects() -> None:
     """The stream reconnected during the query, so a different controller might have answered."""
     asked: list[str] = []
 

@@ -18,16 +18,16 @@ CELL = "192.168.0.100"
 class Truth:
     """Clock that returns the exact time of a simulated controller on another computer, also between two cycles."""
 
-    def __init__(self, sim: urlink.Simulation, controller: Controller, rate: float) -> None:
+    def __init__(self, sim: urlink.Simulation, controller: Controller) -> None:
         self._cell = sim.network.computers["cell"]
         self._sim = sim
-        self._server, self._state, self._rate = controller._server, controller._state, rate
+        with sim.on(self._cell):
+            self._began = linkcore.clock.now() - controller.time
+            controller.start()
 
     def __call__(self) -> float:
-        assert self._server is not None
         with self._sim.on(self._cell):
-            cycles = (linkcore.clock.now() - self._server._epoch) * self._rate + self._server._first
-        return (cycles - (self._state.cycle - self._state.uptime)) / self._rate
+            return linkcore.clock.now() - self._began
 
 
 @pytest.mark.slow
@@ -41,8 +41,7 @@ def test_clock_is_right_within_its_bound(firmware: str, seed: int, drift: float,
         cell.rate, sim.here.rate = 1.0 + drift, 1.0 - 0.5 * drift
         with sim.on(cell):
             controller = Controller("UR5e" if firmware[0] == "5" else "UR5", firmware, host=CELL, ports="standard")
-            controller.start()
-        truth = Truth(sim, controller, 500.0 if firmware[0] == "5" else 125.0)
+        truth = Truth(sim, controller)
         sim.schedule("cut=cell@8", "mend=cell@12", "reset=cell@20", "hold=here@24", "release=here@24.4")
         looks = wrong = 0
         with urlink.connect(CELL, silence=0.5) as robot:
@@ -58,7 +57,7 @@ def test_clock_is_right_within_its_bound(firmware: str, seed: int, drift: float,
             true_drift = (1.0 + drift) / (1.0 - 0.5 * drift) - 1.0
             assert robot.clock.drift == pytest.approx(true_drift, abs=2e-5 + 0.02 * jitter)
             assert robot.clock.offset == pytest.approx(true - now, abs=2.0 * bound)
-            assert robot.clock.bound < 0.5 / truth._rate + latency + 1.5 * jitter + 2e-4
+            assert robot.clock.bound < 0.5 * (0.002 if firmware[0] == "5" else 0.008) + latency + 1.5 * jitter + 2e-4
             assert robot.clock.restarts == 0
             assert "ppm, within" in repr(robot.clock)
         with sim.on(cell):
@@ -73,7 +72,6 @@ def test_clock_detects_restart_of_controller() -> None:
         cell = sim.computer("cell", CELL)
         with sim.on(cell):
             controller = Controller("UR5e", host=CELL, ports="standard").start()
-        truth = Truth(sim, controller, 500.0)
         with urlink.connect(CELL, silence=0.5) as robot:
             robot.realtime.wait()
             time.sleep(5.0)
@@ -84,13 +82,15 @@ def test_clock_detects_restart_of_controller() -> None:
             robot.realtime.wait()
             time.sleep(0.1)
             assert robot.clock.restarts == 1
-            assert robot.clock.to_controller(linkcore.clock.now()) == pytest.approx(truth(), abs=robot.clock.bound)
+            # The time is that of the current cycle, which takes 2 ms.
+            middle = pytest.approx(controller.time + 0.001, abs=robot.clock.bound + 0.001)
+            assert robot.clock.to_controller(linkcore.clock.now()) == middle
         with sim.on(cell):
             controller.close()
 
 
 @pytest.mark.simulated_time
-def test_clock_waits_for_first_state() -> None:
+def test_robot_clock_converts_after_the_first_state() -> None:
     with urlink.connect("sim://ur5e") as robot:
         clock = robot.clock
         assert repr(clock) == "<RobotClock: no state has arrived>"

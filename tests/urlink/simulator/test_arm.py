@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import itertools
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -355,6 +357,7 @@ def test_sensors_recompute_cached_values_after_changes() -> None:
 
 def test_robot_current_is_the_same_on_every_python() -> None:
     """`sum` of floats compensates rounding errors since Python 3.12, which would change the last bits of packets."""
-    state = Controller("UR5e", "5.11")._state
+    controller = Controller("UR5e", "5.11")
+    state: Any = SimpleNamespace(arm=controller.arm, modes=controller.modes)
     state.arm.sample.I_actual = [1e8, 1.0, 1.0, 1.0, 1.0, 1.0]
     assert robot_current(state) == number("robot_idle_current") + number("robot_current_of_heat") * 1e16

@@ -229,7 +229,7 @@ def test_restart_safety_leaves_the_arm_off() -> None:
 # -- programs --------------------------------------------------------------------------------------------
 
 
-def test_load_play_pause_stop() -> None:
+def test_dashboard_loads_plays_pauses_and_stops_a_program() -> None:
     host = stepped("5.4")
     dashboard = host.dashboard
     assert dashboard.reply("get loaded program") == "No program loaded"

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
+from tests import platforms
 from urlink.protocol.enums import RobotMode, SafetyMode
 from urlink.protocol.firmware import NEWEST, Firmware
 from urlink.protocol.primary.robot_message import SafetyModeMessage, VersionMessage
@@ -204,7 +205,7 @@ def test_unknown_sub_package_comes_last() -> None:
     assert grown.endswith(b"new")
 
 
-def test_garbage_inside_does_not_change_the_stated_size() -> None:
+def test_garbage_inside_a_packet_keeps_its_stated_size() -> None:
     assert with_garbage_inside(b"\0\0\0\x08abcd", b"??") == b"\0\0\0\x08??abcd"
 
 
@@ -247,7 +248,7 @@ def test_garbage_comes_once_and_before_a_packet(controller: Controller, connect:
 
 
 @pytest.mark.real_time
-def test_garbage_inside_shifts_the_next_packet(controller: Controller, connect: Connect) -> None:
+def test_garbage_inside_a_packet_shifts_the_next_packet(controller: Controller, connect: Connect) -> None:
     link = connect(controller, "realtime")
     link.packet()
     controller.faults.garbage(b"garbage!", "realtime", inside=True)
@@ -361,7 +362,8 @@ def test_client_can_reconnect_after_a_cut(controller: Controller, connect: Conne
     link.packet()
     other.packet()
     controller.faults.cut("realtime")
-    with pytest.raises(ConnectionResetError):
+    # Under Wine, `recv` reports a reset as an orderly end.
+    with pytest.raises(AssertionError if platforms.IS_WINE else ConnectionResetError):
         link.until(lambda packet: False)
     assert len(connect(controller, "realtime").packet()) == 1220
     other.packet()
@@ -450,7 +452,7 @@ def test_stops_appear_in_the_packets(controller: Controller, connect: Connect) -
 
 
 @pytest.mark.real_time
-def test_messages_go_only_to_the_primary_interface(controller: Controller, connect: Connect) -> None:
+def test_messages_are_sent_only_on_the_primary_interface(controller: Controller, connect: Connect) -> None:
     primary, secondary = connect(controller, "primary"), connect(controller, "secondary")
     # A greeting has two messages; the stop causes two more.
     controller.faults.protective_stop()

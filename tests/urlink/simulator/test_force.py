@@ -415,7 +415,10 @@ def test_robot_state_reports_the_control_mode(body: str, mode: str) -> None:
     # The mode returns to POSITION when the program has ended.
     bench.controller.take("def q():\n  sync()\nend")
     bench.go(0.05)
-    assert bench.controller._state.control_mode is ControlMode.POSITION
+    (state,) = urlink.decode(bench.controller.state_package(), "primary", "5.25")
+    assert isinstance(state, urlink.packets.RobotState)
+    assert state.robot_mode_data is not None
+    assert state.robot_mode_data.control_mode is ControlMode.POSITION
 
 
 def test_optimised_moves_reach_their_goals() -> None:

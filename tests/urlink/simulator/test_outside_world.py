@@ -94,8 +94,8 @@ def test_stored_xmlrpc_handle_keeps_its_methods(run: Run, server: SimpleXMLRPCSe
 @pytest.mark.parametrize(
     ("call", "error"),
     [
-        ("h.fail()", "answers with fault 1: .*division by zero"),
-        ("h.nothing()", 'answers with fault 1: .*method "nothing" is not supported'),
+        ("h.fail()", "replied with fault 1: .*division by zero"),
+        ("h.nothing()", 'replied with fault 1: .*method "nothing" is not supported'),
         ("h.odd()", "which URScript does not support"),
     ],
 )
@@ -127,11 +127,11 @@ def test_names_of_remote_methods_contain_dots(run: Run, server: SimpleXMLRPCServ
             r"method: http://127\.0\.0\.1:1/.* cannot",
         ),
         # Hosts other than this computer are reachable only if a socket may connect to them, too.
-        ('h = rpc_factory("xmlrpc", "http://192.0.2.1/RPC2")\nh.method()', "cannot be connected to"),
+        ('h = rpc_factory("xmlrpc", "http://192.0.2.1/RPC2")\nh.method()', "cannot connect to the server"),
         ('h = rpc_factory("soap", "http://127.0.0.1/")', "type is 'soap'; expected 'xmlrpc'"),
         ('h = rpc_factory("xmlrpc", "127.0.0.1:40404")', "is not an address such as"),
         ("h = 5\nh.method()", "int has no method 'method'"),
-        ('h = rpc_factory("xmlrpc", "http://127.0.0.1:29999/")\nh.method()', "does not answer as a server of XML-RPC"),
+        ('h = rpc_factory("xmlrpc", "http://127.0.0.1:29999/")\nh.method()', "is not valid XML-RPC"),
         ("x = tool_pose()", "tool_pose: its result is unknown, and it is not modelled"),
         ('eip_reader_factory("x", 1)', "eip_reader_factory: EtherNet/IP is not modelled"),
     ],

@@ -102,7 +102,7 @@ def test_packets_have_the_sizes_of_their_firmware(release: Release, name: str) -
 
 
 @pytest.mark.parametrize(("release", "name"), COMBINATIONS)
-def test_forms_give_the_same_bytes_as_the_slow_encoder(release: Release, name: str) -> None:
+def test_packet_forms_encode_the_same_bytes_as_layouts(release: Release, name: str) -> None:
     controller = Controller(name, release.since, motion=Demonstration())
     controller.signals.set_digital_output(3, True)
     controller.signals.set_digital_input(16, True)
@@ -121,7 +121,7 @@ def test_form_rejects_a_layout_with_text() -> None:
         Form(VersionMessage.LAYOUTS.of("5.11"))
 
 
-def test_realtime_packet_and_robot_state_agree() -> None:
+def test_realtime_packet_and_robot_state_have_equal_values() -> None:
     controller = Controller("UR10e", "5.11", motion=Demonstration())
     controller.arm.tcp = [0.0, 0.01, 0.1, 0.1, 0.2, 0.3]
     controller.signals.digital_inputs = 0x10102
@@ -251,7 +251,7 @@ def test_controller_defaults_for_model_and_firmware() -> None:
     assert Controller("ur16E", "5.9").model.name == "UR16e"
 
 
-def test_wrong_arguments_are_local_errors() -> None:
+def test_controller_with_wrong_arguments_raises_local_error() -> None:
     with pytest.raises(UnknownModel):
         Controller("UR6")
     with pytest.raises(LocalError, match=r"firmware 2\.0"):

@@ -11,6 +11,7 @@ import pytest
 
 import urlink
 from linkcore.errors import BadValue
+from tests import platforms
 from tests.waiting import until
 from urlink import Trajectory, TrajectoryPoint
 from urlink.simulator import Controller, Still
@@ -76,6 +77,7 @@ def test_socket_fails_when_no_server_listens(sockets: ProgramSockets, listener: 
     "host", ["192.0.2.1", "10.0.0.1", "example.com", "", "0.0.0.0", "2130706433", "::1%nowhere", "fe80::1%9", "1.2.3"]
 )
 @pytest.mark.simulated_time
+@platforms.needs_linux
 def test_other_hosts_are_refused_without_a_socket(host: str, sockets: ProgramSockets, listener: socket.socket) -> None:
     before = descriptors()
     sockets.open("s", host, port(listener))
@@ -106,6 +108,7 @@ def test_other_hosts_are_tried_when_the_route_allows_them() -> None:
 
 
 @pytest.mark.real_time
+@platforms.needs_linux
 def test_reopening_a_name_closes_its_previous_socket(sockets: ProgramSockets, listener: socket.socket) -> None:
     before = descriptors()
     with opened(sockets, listener) as first, opened(sockets, listener) as second:
@@ -147,6 +150,7 @@ def test_peer_has_to_wait_when_the_program_never_reads(sockets: ProgramSockets, 
 
 
 @pytest.mark.real_time
+@platforms.needs_linux
 def test_close_all_leaves_no_descriptors_open(listener: socket.socket) -> None:
     before = descriptors()
     sockets = ProgramSockets(refuse_all)
@@ -194,7 +198,7 @@ def test_servo_and_follow_work_on_two_loopback_addresses() -> None:
             try:
                 stack.enter_context(socket.create_server((host, 0))).close()
             except OSError:
-                pytest.skip("this system has only one loopback address")
+                pytest.skip(platforms.MACHINE)
         made = [stack.enter_context(Controller("UR5e", "5.11", host=host, motion=Still())) for host in hosts]
         for controller in made:
             robot = stack.enter_context(urlink.connect(controller.address, stale_after=10, silence=20))

@@ -224,7 +224,7 @@ def test_program_that_ends_while_moving_brakes(watched: Watched) -> None:
     assert watched.steadiest < 12
 
 
-def test_new_program_takes_over_at_speed(watched: Watched) -> None:
+def test_new_program_continues_at_the_current_speed(watched: Watched) -> None:
     watched.take(SPIN).step(1)
     watched.take(TURN).step(0.01)
     assert watched.story == ["started spin", "stopped spin", "started turn"]
@@ -302,10 +302,10 @@ def test_secondary_program_runs_while_the_program_is_paused(watched: Watched) ->
     watched.controller.pendant.pause()
     watched.take("sec s():\n  set_digital_out(3, True)\nend\n").step(0.01)
     assert watched.controller.signals.digital_outputs == 8
-    assert watched.controller._state.is_paused
+    assert watched.controller.modes.program_state is ProgramState.PAUSED
 
 
-def test_is_steady_in_a_secondary_program(watched: Watched) -> None:
+def test_is_steady_returns_false_while_a_program_runs(watched: Watched) -> None:
     ask = "sec s():\n  textmsg(is_steady())\nend\n"
     watched.take(ask).step(0.01)
     watched.take(SPIN).step(1)
@@ -434,7 +434,6 @@ def test_emergency_stop_and_power_off_end_a_paused_program(watched: Watched, hol
     getattr(watched.controller.faults, end)()
     watched.step(1)
     assert [line for line in watched.story if line[:1] != "C"] == ["started spin", "stopped spin"]
-    assert not watched.controller._state.is_paused
     assert watched.controller.modes.program_state is ProgramState.STOPPED
 
 
@@ -672,7 +671,7 @@ def test_slider_appears_in_speed_scaling(firmware: str, alone: float) -> None:
     assert scaling() == 0.5
 
 
-def test_lines_switch_the_arm_off_and_on(watched: Watched) -> None:
+def test_power_lines_switch_the_arm_off_and_on(watched: Watched) -> None:
     watched.take("power off").step(0.1)
     assert watched.power() is Power.OFF
     watched.take("power on").step(2)
@@ -720,7 +719,7 @@ def test_blocking_popup_blocks_its_program(watched: Watched) -> None:
     assert watched.story[2:] == ["'on'", "stopped f"]
 
 
-def test_dashboard_load_play_pause_stop() -> None:
+def test_dashboard_commands_load_play_pause_and_stop_a_program() -> None:
     watched = Watched(files={"/programs/turn.urp": TURN, "bad.urp": "def f(:\nend\n"})
     assert watched.dashboard("play") == "Failed to execute: play"
     assert watched.dashboard("load nothing.urp") == "File not found: nothing.urp"

@@ -199,7 +199,7 @@ def test_controller_version_is_reported_on_every_request() -> None:
 
 
 @pytest.mark.parametrize("firmware", ["3.15", "5.11"])
-def test_protocol_1_needs_no_request_and_has_no_numbers(firmware: str) -> None:
+def test_rtde_protocol_1_needs_no_request_and_has_no_recipe_ids(firmware: str) -> None:
     sim = controller(firmware)
     peer = Peer(sim, protocol=1)
     assert peer.outputs("timestamp", " actual_q") == (1, ["DOUBLE", "VECTOR6D"])

@@ -121,7 +121,7 @@ def test_stream_follows_the_same_path_in_scaled_time() -> None:
         assert np.abs(drift).max() < 1e-4, name
 
 
-def test_stretching_of_the_lag_is_a_parameter() -> None:
+def test_servoj_lag_is_stretched_by_the_slider_if_configured() -> None:
     profile = [1.0] * 400 + [0.0] * 1000
     stretched, _ = streamed(profile)
     straight, _ = streamed(profile, ScalingParameters(servoj_lag_stretches=False))
@@ -208,7 +208,7 @@ def durations(lines: str, scaling: ScalingParameters = _USUAL, firmware: str = "
     while controller.program_name is not None:
         moving.append(any(targets(controller, 1)[0].qd))
     edges = np.flatnonzero(np.diff([0, *moving, 0]))
-    return [controller._state.period * float(count + 1) for count in np.diff(edges)[::2]]
+    return [1.0 / controller.firmware.rate * float(count + 1) for count in np.diff(edges)[::2]]
 
 
 @pytest.mark.parametrize("rest", ["", "  sleep(0.3)\n"])
@@ -223,11 +223,11 @@ def test_later_moves_from_rest_have_a_shorter_ramp(rest: str) -> None:
 
 
 @pytest.mark.parametrize("firmware", ["5.11", "5.25"])
-def test_later_moves_last_as_long_as_on_the_vendor_simulator(firmware: str) -> None:
+def test_next_moves_take_as_long_as_on_the_vendor_simulator(firmware: str) -> None:
     # The limits come from the tests of the UR Client Library. Its executor sends one move after the other to a running
     # program. It checks every 0.1 s whether the move has ended. movej lasts more than 1.4 s (1.45 to 1.65 s in earlier
-    # releases) and movel 0.65 to 0.85 s. A move with a time lasts up to 0.1 s longer than this time; 0.3 s become 0.35
-    # to 0.45 s.
+    # releases) and movel 0.65 to 0.85 s. A move with a time lasts up to 0.1 s longer than this time; the exception is a
+    # move of 0.3 s, which lasts 0.35 to 0.45 s.
     pose, near = "p[-0.203, 0.263, 0.559, 0.68, -1.083, -2.076]", "p[-0.203, 0.463, 0.559, 0.68, -1.083, -2.076]"
     lines = {
         f"movej({FOLDED}, 1.4, 1.05)": (1.0, 5.0),

@@ -418,7 +418,7 @@ def test_dashboard_commands_in_one_segment_run_in_order(controller: Controller, 
     ]
 
 
-def test_faults_disturb_the_dashboard(controller: Controller, connect: Connect) -> None:
+def test_connection_faults_also_affect_the_dashboard(controller: Controller, connect: Connect) -> None:
     link = connect(controller, "dashboard")
     assert link.segment().startswith(b"Connected")
     controller.faults.garbage(b"???", "dashboard")
@@ -439,7 +439,9 @@ def test_faults_disturb_the_dashboard(controller: Controller, connect: Connect) 
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
-def test_own_ports_reach_the_controller_from_a_program(controller: Controller, connect: Connect, host: str) -> None:
+def test_program_can_connect_to_ports_of_its_own_controller(
+    controller: Controller, connect: Connect, host: str
+) -> None:
     """Public programs move the speed slider in this way. To a program, the actual port of 30003 is always 30003."""
     link = connect(controller, "primary")
     program = f"""def slider():

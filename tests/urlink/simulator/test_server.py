@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+import linkcore.clock
 import urlink
 from linkcore.errors import BadAddress, BadValue, LocalError
 from tests.fakes.clock import Clock
@@ -87,7 +88,7 @@ def test_client_that_disconnects_before_accept_does_no_harm(port: str, connect: 
 
 
 @pytest.mark.parametrize("port", ["primary", "primary_readonly", "secondary", "secondary_readonly"])
-def test_packages_come_after_a_greeting_at_ten_hertz(port: str, connect: Connect) -> None:
+def test_packages_are_sent_at_ten_hertz_after_the_greeting(port: str, connect: Connect) -> None:
     with Controller("UR5", "3.10") as controller:
         link = connect(controller, port)
         head = [(len(package), package[4]) for package in (link.packet() for _ in range(4))]
@@ -392,13 +393,19 @@ def test_greeting_of_cb2_is_only_the_version_message(connect: Connect) -> None:
 # -- a machine that is busy with other work ------------------------------------------------------------
 
 
+def clocked(clock: Clock, **options: Any) -> Controller:
+    """Return a controller that reads this clock."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(linkcore.clock, "now", clock)
+        return Controller("UR5e", "5.11", **options)
+
+
 @pytest.fixture
 def starved() -> Iterator[tuple[Controller, Clock]]:
     """Controller whose time advances only when the test advances it, as if the server's thread got no processor time
     in between."""
-    controller, clock = Controller("UR5e", "5.11"), Clock()
-    controller._clock = clock
-    with controller:
+    clock = Clock()
+    with clocked(clock) as controller:
         yield controller, clock
 
 
@@ -474,9 +481,8 @@ def test_programs_do_not_depend_on_delays(connect: Connect) -> None:
     """The same program has the same result in the same cycles, whatever the machine does."""
 
     def ends(leap: float) -> tuple[int, list[float]]:
-        controller, clock = Controller("UR5e", "5.11", motion=Still()), Clock()
-        controller._clock = clock
-        with controller:
+        clock = Clock()
+        with clocked(clock, motion=Still()) as controller:
             controller.take("def p():\n  movej([0.1, -1.57, 1.57, -1.57, -1.57, 0])\nend")
             while controller.is_running_program:
                 clock.now += leap

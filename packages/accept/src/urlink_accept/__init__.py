@@ -1,8 +1,8 @@
 """Tests of a controller with urlink, and identification of an arm from a recording.
 
 `acceptance` tests a controller stage by stage and stores the evidence. `identification` fits the parameters of the
-simulator to a recording, and makes the motion that such a recording needs.
+simulator to a recording. `identification` can also move the arm to make such a recording.
 """
 
-# Imported before urlink, so that a warning about another distribution of this name precedes a failing import.
+# Imported before urlink: if another distribution has this name, its warning is shown before an import fails.
 import linkcore  # noqa: F401

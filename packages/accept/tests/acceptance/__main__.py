@@ -4,6 +4,8 @@
 not held, or a result that contradicts a parameter, is a false alarm. In stage 3 one joint swings, and the next joint in
 each round of the rows. The runs are in simulated time, or with ``--real`` in real time next to a busy process.
 
+``drawn`` plants defects that a seed draws in the bytes of sound runs (`drawn`), and prints which are found.
+
 ``faults`` repeats stage 2 for half a minute while faults are injected (`faulted`), and measures how far any joint
 leaves its start. A run has about 45 faults.
 
@@ -34,11 +36,14 @@ from urlink.arm.models import MODELS
 from urlink.arm.vectors import JOINTS
 from urlink.protocol.firmware import RELEASES
 from urlink.simulator.state import firmware_for
+from urlink_accept.acceptance.causes import likely_causes
 from urlink_accept.acceptance.evidence import Evidence
 from urlink_accept.acceptance.report import judge
 from urlink_accept.acceptance.requirements import requirements
 from urlink_accept.acceptance.stages import STAGES, run
 
+from .drawn import FIRMWARES, SEED, drawn, is_found, is_named, verdicts_with
+from .drawn import sound as sound_evidence
 from .faulted import faulted
 
 LIMIT = requirements()["box"].limit
@@ -131,6 +136,24 @@ def all_with_faults(args: argparse.Namespace) -> int:
     return _ended(runs, wrong)
 
 
+def all_drawn(seed: int, count: int) -> int:
+    """Print a table of drawn defects; return 0 if 90 % of them are found, and 80 % with their cause."""
+    found = named = 0
+    with tempfile.TemporaryDirectory() as folder:
+        bases = {each: sound_evidence(each, Path(folder, f"{each}.urlog")) for each in FIRMWARES}
+        for base in bases.values():
+            judge(base, requirements())  # decodes the packets of all interfaces once
+        for firmware, defect in drawn(seed, count, bases):
+            verdicts = verdicts_with(bases[firmware], defect)
+            is_one, has_cause = is_found(verdicts), is_named(verdicts, defect)
+            found, named = found + is_one, named + (is_one and has_cause)
+            said = "cause named" if is_one and has_cause else "found" if is_one else "MISSED"
+            first = next(iter(likely_causes(verdicts)), "")
+            print(f"{firmware:6} {defect!s:60} {said:12} {first[:110]}", flush=True)
+    print(f"seed {seed}: {found} of {count} found, {named} with their cause")
+    return int(found < 0.9 * count or named < 0.8 * count)
+
+
 def _ended(runs: Sequence[dict[str, Any]], wrong: int) -> int:
     print(f"{sum(each['processor'] for each in runs):.0f} s of processor time")
     return int(wrong > 0)
@@ -148,8 +171,13 @@ def main() -> int:
     of_sound.add_argument("--stages", type=int, nargs="+", choices=tuple(STAGES), default=tuple(STAGES))
     of_sound.add_argument("--real", action="store_true", help="run in real time, next to a busy process")
     trials.add_arguments(of_faults, runs=12)
+    of_drawn = kinds.add_parser("drawn")
+    of_drawn.add_argument("--seed", type=int, default=SEED)
+    of_drawn.add_argument("--runs", type=int, default=102)
     given = parser.parse_args()
     logging.disable()  # each fault would cause log messages
+    if given.kind == "drawn":
+        return all_drawn(given.seed, given.runs)
     return all_sound(given) if given.kind == "sound" else all_with_faults(given)
 
 

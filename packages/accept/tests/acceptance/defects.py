@@ -19,7 +19,7 @@ from urlink.protocol.realtime.packets import RealtimeState
 from urlink.protocol.rtde.recipes import Recipe
 from urlink_accept.acceptance.evidence import Evidence, Wire
 
-__all__ = ["DEFECTS", "Defect", "planted"]
+__all__ = ["DEFECTS", "Defect", "later", "planted", "planted_copy"]
 
 Values = NDArray[np.float64]
 Plant = Callable[[Evidence], None]
@@ -392,11 +392,17 @@ def _identity(evidence: Evidence) -> Any:
     return evidence.identity
 
 
-def planted(base: Evidence, defect: Defect | None) -> Evidence:
-    """Return a copy of the evidence, with or without a defect."""
+def planted_copy(base: Evidence) -> Evidence:
+    """Return a copy of the evidence whose bytes and notes can be changed."""
     evidence = copy.copy(base)
     evidence.notes = list(base.notes)
     evidence.wires = [replace(wire, chunks=list(wire.chunks)) for wire in base.wires]
+    return evidence
+
+
+def planted(base: Evidence, defect: Defect | None) -> Evidence:
+    """Return a copy of the evidence, with or without a defect."""
+    evidence = planted_copy(base)
     if defect is not None:
         defect.plant(evidence)
     return evidence

@@ -133,7 +133,7 @@ def test_evidence_rejects_deep_json(tmp_path: Path) -> None:
     notes = writer.add_channel({"name": NOTES})
     writer.write(Kind.BYTES, notes, Stamp(1.0, 1.7e9), b"[" * 100_000)
     writer.close()
-    with pytest.raises(BadRecording, match="is not described in JSON"):
+    with pytest.raises(BadRecording, match="is not valid JSON"):
         Evidence(path)
 
 

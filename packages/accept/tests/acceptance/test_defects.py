@@ -29,7 +29,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> dict[bool, Evidence]:
     return found
 
 
-def test_defects_are_many_and_name_known_checks() -> None:
+def test_sixty_defects_exist_and_name_existing_checks() -> None:
     assert len(DEFECTS) >= 60
     assert {each.named for each in DEFECTS.values()} <= CHECKS.keys()
 
@@ -47,7 +47,7 @@ def test_requirement_detects_planted_defect(sound: dict[bool, Evidence], name: s
 
 @pytest.mark.slow
 @pytest.mark.parametrize("moves", [False, True])
-def test_runs_without_defects_are_sound(sound: dict[bool, Evidence], moves: bool) -> None:
+def test_judge_finds_no_failed_requirement_without_defects(sound: dict[bool, Evidence], moves: bool) -> None:
     """The shared evidence is not changed by planting."""
     assert [each.seen for each in judge(planted(sound[moves], None), requirements()) if each.state == "not held"] == []
 

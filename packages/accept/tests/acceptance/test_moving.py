@@ -27,7 +27,7 @@ def consent(number: int, does: str) -> str:
 
 @pytest.mark.slow
 @pytest.mark.simulated_time
-def test_sound_controller_holds_all_requirements(tmp_path: Path) -> None:
+def test_correct_controller_meets_all_requirements(tmp_path: Path) -> None:
     path = tmp_path / "run.urlog"
     run("sim://?firmware=3.15", path, (2,), consent)
     verdicts = {each.requirement.name: each for each in judge(Evidence(path), requirements())}
@@ -38,7 +38,7 @@ def test_sound_controller_holds_all_requirements(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.simulated_time
-def test_unsupported_request_is_not_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_request_missing_in_firmware_is_reported_as_not_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The Robot API of 10.7 has no pause."""
 
     def some(book: Logbook, steps: Mapping[str, Callable[[], Told]], between: Callable[[], object]) -> None:

@@ -36,7 +36,7 @@ def test_tomllib_reads_same_requirements() -> None:
 
 
 @pytest.mark.parametrize("name", requirements())
-def test_source_files_exist(name: str) -> None:
+def test_source_files_of_requirements_exist(name: str) -> None:
     """Each source file exists, and each requirement has a reason."""
     each = requirements()[name]
     assert each.why
@@ -44,7 +44,7 @@ def test_source_files_exist(name: str) -> None:
         assert (ROOT / file).is_file(), file
 
 
-def test_user_file_changes_limits_and_names_site(tmp_path: Path) -> None:
+def test_requirements_file_of_user_changes_limits_and_site(tmp_path: Path) -> None:
     path = tmp_path / "cell.toml"
     path.write_text(
         '# ours\n[site]\nowner = "A. Nother"\n\n[clock-drift]\nlimit = 50\nwhy = "a camera is synchronised"\n',
@@ -61,7 +61,7 @@ def test_user_file_changes_limits_and_names_site(tmp_path: Path) -> None:
     ("text", "said"),
     [
         ("[clock-drive]\nlimit = 1", "'clock-drive'"),
-        ("[clock-drift]\nstage = 1", "can change limit, why, source"),
+        ("[clock-drift]\nstage = 1", "sets stage; your own file can set only limit, why, source"),
         ("[clock-drift]\nlimit = -1", "limit = -1"),
         ("[clock-drift]\nlimit = true", "limit = True"),
         ("[clock-drift]\nlimit = NaN", "limit = nan"),

@@ -46,7 +46,7 @@ def verdict(name: str, of: Evidence) -> tuple[str, str]:
 
 
 @pytest.mark.parametrize(("sign", "state"), [(1.0, "held"), (-1.0, "not held")])
-def test_arm_may_start_and_brake_within_one_cycle(sign: float, state: str) -> None:
+def test_velocity_requirement_accepts_start_within_one_cycle(sign: float, state: str) -> None:
     speeds = np.zeros((400, 6))
     speeds[:, 5] = np.repeat(np.tile([0.1, 0.0], 20), 10)
     of = evidence(speeds, [Note(0.0, "stage", {"number": 0})])
@@ -97,7 +97,7 @@ def test_stream_start_is_not_judged_after_computer_delay(gap: float, state: str)
 
 @pytest.mark.parametrize(("gap", "state"), [(1.0, "not tried"), (0.0, "not held")])
 @pytest.mark.parametrize("name", ["move-arrives", "slider-scales"])
-def test_move_with_unseen_end_is_not_judged(name: str, gap: float, state: str) -> None:
+def test_move_is_not_judged_if_packets_of_its_end_are_missing(name: str, gap: float, state: str) -> None:
     speeds = np.zeros((300, 6))
     speeds[100:, 5] = 0.01
     arrivals = _PERIOD * np.arange(1, 301)
@@ -111,7 +111,7 @@ def test_move_with_unseen_end_is_not_judged(name: str, gap: float, state: str) -
 @pytest.mark.parametrize(
     ("late", "drift", "state"), [(0.2, 0.0, "not tried"), (0.0, 3e-3, "not held"), (0.0, 0.0, "held")]
 )
-def test_sudden_delay_is_not_clock_drift(late: float, drift: float, state: str) -> None:
+def test_sudden_network_delay_does_not_count_as_clock_drift(late: float, drift: float, state: str) -> None:
     arrivals = (1.0 + drift) * _PERIOD * np.arange(1, 30001)
     arrivals[18000:] += late
     notes = [Note(0.0, "stage", {"number": 0})]
@@ -119,7 +119,7 @@ def test_sudden_delay_is_not_clock_drift(late: float, drift: float, state: str) 
 
 
 @pytest.mark.parametrize("each", [2, 1])
-def test_lag_from_half_of_states_does_not_contradict(each: int) -> None:
+def test_lag_measured_from_half_the_states_is_no_contradiction(each: int) -> None:
     notes = [Note(0.0, "stage", {"number": 2}), Note(0.1, "servo-lag", {"event": "begin"})]
     notes.append(Note(1.9, "servo-lag", {"event": "end", "lag": 0.045, "lookahead": 0.03}))
     of = evidence(np.zeros((1000, 6)), notes)
@@ -144,7 +144,7 @@ def test_stream_without_set_points_is_not_judged(last: float, state: str) -> Non
 
 
 @pytest.mark.parametrize(("gap", "state"), [(1.0, "not tried"), (0.0, "not held")])
-def test_unseen_stop_is_not_judged_without_packets(gap: float, state: str) -> None:
+def test_stop_is_not_judged_without_packets(gap: float, state: str) -> None:
     speeds = np.zeros((410, 6))
     speeds[:300, 5] = 0.1
     arrivals = _PERIOD * np.arange(1, 411)
@@ -164,7 +164,7 @@ def test_stage_without_packets_is_not_judged(name: str) -> None:
 
 
 @pytest.mark.parametrize("count", [8, 20])
-def test_swing_with_few_packets_is_not_judged(count: int) -> None:
+def test_swing_is_not_judged_when_few_packets_arrived(count: int) -> None:
     notes = [Note(0.791, "stage", {"number": 3}), Note(0.791, "swinging", {"start": [0.0] * 6, "slider": 1.0})]
     notes += [Note(0.791, "swing-elbow", {"event": "begin"}), Note(9.0, "swing-elbow", {"event": "end", "error": None})]
     of = evidence(np.zeros((395 + count, 6)), notes)

@@ -56,7 +56,7 @@ def sound(logbook: Path) -> Evidence:
 
 
 @pytest.mark.slow
-def test_sound_arm_holds_all_without_contradictions(sound: Evidence) -> None:
+def test_correct_arm_meets_all_requirements(sound: Evidence) -> None:
     found = verdicts(sound)
     assert {name: each.state for name, each in found.items()} == dict.fromkeys(OWN, "held")
     assert [each.contradicts for each in found.values() if each.contradicts] == []
@@ -123,7 +123,7 @@ def test_contradictions_name_parameter_and_measured_value(tmp_path: Path) -> Non
 
 @pytest.mark.slow
 @pytest.mark.simulated_time
-def test_slider_below_100_percent_does_not_contradict_ramp(tmp_path: Path) -> None:
+def test_ramp_is_not_contradicted_when_slider_is_at_50_percent(tmp_path: Path) -> None:
     with Controller("UR5", "3.15") as controller:
         controller.speed_fraction = 0.5
         run(controller.address, tmp_path / "run.urlog", (3,), consent, person=OfTheSimulator(controller))
@@ -132,7 +132,7 @@ def test_slider_below_100_percent_does_not_contradict_ramp(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("name", ["rotor_inertia", "torque_constant", "coulomb_current", "viscous_current"])
-def test_rounding_does_not_contradict_own_parameters(name: str) -> None:
+def test_parameters_are_not_contradicted_by_rounding_errors(name: str) -> None:
     """This also holds if the value is an end of the interval, as for the UR10e."""
     for arm in MODELS:
         for row in swings.rows_of(name, arm):

@@ -24,8 +24,8 @@ from .planted import OWN, planted, recorded
 #: Largest factor by which a drawn parameter may differ from that of `planted`.
 FACTOR = 1.3
 #: Noise of the controller's results, in Nm and A; required fraction of the runs whose interval contains the planted
-#: value.
-NOISE, HELD = 0.1, 0.95
+#: value. The intervals are made for 95 %.
+NOISE, HELD = 0.1, 0.9
 NEAR = 0.05
 #: Mean delay of packets, in s; largest relative error of the controller's clock.
 LATE, DRIFT = 5e-4, 5e-4

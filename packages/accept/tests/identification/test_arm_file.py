@@ -98,10 +98,10 @@ def test_read_samples_rejects_other_files(tmp_path: Path) -> None:
     with pytest.raises(BadRecording, match="No such file"):
         read_samples(tmp_path / "none.csv")
     (tmp_path / "short.csv").write_text("timestamp,x\n1,2\n")
-    with pytest.raises(BadRecording, match="no column target_q"):
+    with pytest.raises(BadRecording, match="neither target_q nor actual_q"):
         read_samples(tmp_path / "short.csv")
     (tmp_path / "text.csv").write_text("timestamp,x\n1,hello\n")
-    with pytest.raises(BadRecording, match="table of numbers"):
+    with pytest.raises(BadRecording, match="its columns are timestamp"):
         read_samples(tmp_path / "text.csv")
     assert math.isnan(Estimate.unknown("motion").value)
     assert MODEL.name == "UR5e"

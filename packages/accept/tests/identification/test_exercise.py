@@ -77,7 +77,7 @@ def test_plan_rejects_positions_beyond_joint_limits() -> None:
 
 
 @pytest.mark.simulated_time
-def test_exercise_needs_planned_start_and_held_switch() -> None:
+def test_exercise_requires_planned_position_and_held_switch() -> None:
     with Controller("UR5", "3.15", motion=Still(START.tolist())) as controller:
         with urlink.connect(controller.address) as robot:
             planned = plan_from_here(robot)
@@ -125,7 +125,9 @@ def test_exercise_command_needs_confirmation_of_free_box(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with Controller("UR5", "3.15", motion=Still(START.tolist())) as controller:
-        with Path("/dev/null").open() as nothing:
+        # Not os.devnull, which is a terminal on Windows.
+        (tmp_path / "nothing").touch()
+        with (tmp_path / "nothing").open() as nothing:
             monkeypatch.setattr(sys, "stdin", nothing)
             assert main(["exercise", controller.address, "--out", str(tmp_path / "run.urlog")]) == 1
         assert "confirm it with --yes" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Classes and calls of other clients, over this library, for programs that were written for those clients.
+"""Classes and calls of other clients, implemented with urlink, for programs that were written for these clients.
 
 `rtde_control`, `rtde_receive` and `rtde_io` have the classes of ur_rtde 1.6.5, and `urx` has the robot of urx 0.11,
 with their methods and the order of their arguments. docs/coming-from-ur-rtde.md describes the differences and the

@@ -96,7 +96,7 @@ class RTDEControlInterface(ControlBlocks):
     ) -> None:
         for each in (Flags.FLAG_USE_EXT_UR_CAP, Flags.FLAG_CUSTOM_SCRIPT):
             if flags & each:
-                raise NotOffered(f"{each.name} is not offered: there is no control script, each call is a motion")
+                raise NotOffered(f"{each.name} is not offered, because there is no control script; omit this flag")
         super().__init__(hostname, frequency)
 
     # -- tool and payload --------------------------------------------------------------------------------
@@ -128,7 +128,7 @@ class RTDEControlInterface(ControlBlocks):
         return 1.0 / self._robot.firmware.rate
 
     def getJointTorques(self) -> list[float]:
-        """Return the joint torques in Nm without those that move the arm itself, as computed by the controller."""
+        """Return the joint torques in Nm that the controller computes, without the torques that move the arm."""
         return [float(each) for each in self._ask("get_joint_torques()").strip("[]").split(",")]
 
     def isProgramRunning(self) -> bool:

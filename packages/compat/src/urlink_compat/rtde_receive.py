@@ -24,7 +24,7 @@ _TIMEOUT = 5.0
 _T = TypeVar("_T")
 
 
-#: Variables that are requested if none are named: those of the getters. Variables that a controller lacks are skipped.
+#: Default variables: the variables of all getters. Variables that a controller lacks are skipped.
 _VARIABLES: list[str] = []
 
 
@@ -56,20 +56,21 @@ def _vector(name: str, doc: str) -> Callable[[RTDEReceiveInterface], list[float]
 
 
 class RTDEReceiveInterface(RtdeInterface):
-    """Variables of a controller, one method for each. While the connection is lost, they wait for the next package.
+    """Variables of a controller, one method for each.  While the connection is lost, the methods wait for the next
+    package.
 
-    Args:
-        hostname: Address of the robot.
-        frequency: Packages per second; -1 for the controller's rate.
-        variables: Names of the variables; none for all that the methods need.
-        verbose: No effect.
-        use_upper_range_registers: No effect, because registers are given by their own numbers.
-        rt_priority: No effect.
+        Args:
+            hostname: Address of the robot.
+            frequency: Packages per second; -1 for the controller's rate.
+            variables: Names of the variables; none for all that the methods need.
+            verbose: No effect.
+            use_upper_range_registers: No effect, because registers are given by their own numbers.
+            rt_priority: No effect.
 
-    Raises:
-        NoSuchVariable: If the controller does not have one of the named variables.
-        BadValue: If the controller does not have this frequency, or a name is invalid.
-        RemoteError: If the robot cannot be reached.
+        Raises:
+            NoSuchVariable: If the controller does not have one of the named variables.
+            BadValue: If the controller does not have this frequency, or a name is invalid.
+            RemoteError: If the robot cannot be reached.
     """
 
     def __init__(

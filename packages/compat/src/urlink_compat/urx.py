@@ -133,7 +133,7 @@ class Robot(Closing):
         return list(map(float, _newest(self._robot.realtime, wait).tcp_force))
 
     def get_force(self, wait: bool = True) -> float:
-        """Return the length of the six numbers of `get_tcp_force`, as urx does."""
+        """Return the Euclidean norm of the six numbers of `get_tcp_force`, as urx does."""
         return math.hypot(*self.get_tcp_force(wait))
 
     def is_running(self) -> bool:

@@ -83,11 +83,11 @@ class Actions:
             raise BadValue(f"the action is {values.tolist()}; expected finite numbers")
         return values
 
-    def lead(self, values: Floats, led: Floats) -> Floats:
+    def setpoints(self, values: Floats, commanded: Floats) -> Floats:
         """Return the joint set-points after an action, shape (6,), in rad.
 
-        The motion starts at the set-points `led`. No joint moves by more than a step or beyond its limits. For a pose,
-        all joints move by the same fraction of their distance, so that the tool stays close to its path.
+        The motion starts at the set-points `commanded`. No joint moves by more than a step or beyond its limits. For a
+        pose, all joints move by the same fraction of their distance, so that the tool stays close to its path.
 
         Raises:
             BadValue: If the pose is not valid, or would turn a joint by more than 1.5 rad.
@@ -95,37 +95,37 @@ class Actions:
         """
         low, high = self.robot.kinematics.position_limits.T
         if self.kind in ("joints", "joint_deltas"):
-            wanted = values if self.kind == "joints" else led + values
-            joints: Floats = np.clip(np.clip(wanted, low, high), led - self.max_step, led + self.max_step)
+            wanted = values if self.kind == "joints" else commanded + values
+            joints: Floats = np.clip(np.clip(wanted, low, high), commanded - self.max_step, commanded + self.max_step)
             return joints
-        away = self.robot.kinematics.inverse(self._pose(values, led), led, self.tcp) - led
+        away = self.robot.kinematics.inverse(self._pose(values, commanded), commanded, self.tcp) - commanded
         furthest = float(np.abs(away).max())
         if furthest > _LEAP:
             raise BadValue(
                 f"the pose of the action turns a joint by {furthest:.3f} rad; expected at most {_LEAP:g} rad (the "
                 "pose is beyond a singularity or too far away)"
             )
-        scaled: Floats = np.clip(led + away * min(1.0, self.max_step / max(furthest, self.max_step)), low, high)
+        scaled: Floats = np.clip(commanded + away * min(1.0, self.max_step / max(furthest, self.max_step)), low, high)
         return scaled
 
-    def _pose(self, values: Floats, led: Floats) -> Floats:
+    def _pose(self, values: Floats, commanded: Floats) -> Floats:
         if self.kind == "pose":
             return poses.from_matrix(_matrix(values))
-        matrix = poses.to_matrix(self.robot.kinematics.forward(led, self.tcp))
+        matrix = poses.to_matrix(self.robot.kinematics.forward(commanded, self.tcp))
         matrix[:3, 3] += values[:3]
         matrix[:3, :3] = poses.rotvec_to_matrix(values[3:]) @ matrix[:3, :3]
         return poses.from_matrix(matrix)
 
-    def named(self, q: Floats, led: Floats) -> dict[str, float]:
-        """Return the action that moves the set-points of the joints from `led` to `q`."""
+    def named(self, q: Floats, commanded: Floats) -> dict[str, float]:
+        """Return the action that moves the set-points of the joints from `commanded` to `q`."""
         names = KINDS[self.kind]
         if self.kind == "joints":
             return named(names, q.tolist())
         if self.kind == "joint_deltas":
-            return named(names, (q - led).tolist())
+            return named(names, (q - commanded).tolist())
         there = self.robot.kinematics.forward(q, self.tcp)
         if self.kind == "pose":
             return named(names, pose_numbers(there))
-        after, before = poses.to_matrix(there), poses.to_matrix(self.robot.kinematics.forward(led, self.tcp))
+        after, before = poses.to_matrix(there), poses.to_matrix(self.robot.kinematics.forward(commanded, self.tcp))
         turned = poses.matrix_to_rotvec(after[:3, :3] @ before[:3, :3].T)
         return named(names, [*(after[:3, 3] - before[:3, 3]).tolist(), *turned.tolist()])

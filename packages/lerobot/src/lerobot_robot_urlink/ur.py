@@ -84,7 +84,7 @@ class UR(Robot):
         #: joints
         self._way: urlink.motion.Servo | urlink.motion.PointStream | None = None
         self._actions: Actions | None = None
-        self._led: Any = None
+        self._commanded: Any = None
         #: set-points of the joints at the last observation, and the time of the stream, in s
         self._observed: tuple[Any, float] | None = None
 
@@ -206,9 +206,9 @@ class UR(Robot):
             self._end_way()
             servo = robot.motion.servo(self.config.fps, watchdog=self.config.watchdog)
             servo.__enter__()
-            self._way, self._led = servo, robot.realtime.wait(STATE_TIMEOUT).q_target
-        led = self._led
-        q = actions.lead(values, led)
+            self._way, self._commanded = servo, robot.realtime.wait(STATE_TIMEOUT).q_target
+        commanded = self._commanded
+        q = actions.setpoints(values, commanded)
         try:
             servo.send(q)
         except BadValue:
@@ -216,8 +216,8 @@ class UR(Robot):
         except urlink.LinkError:
             self._end_way()
             raise
-        self._led = q
-        sent = actions.named(q, led)
+        self._commanded = q
+        sent = actions.named(q, commanded)
         if fingers is not None and wanted is not None:
             fingers.wanted = lambda: wanted
             sent[GRIPPER] = wanted / 255.0
@@ -249,15 +249,15 @@ class UR(Robot):
         robot, actions, fingers = self._connected(), self._meaning(), self._fingers
         if self._observed is None:
             raise urlink.LocalError("a chunk needs an observation to start from; call get_observation first")
-        led, since = self._observed
+        commanded, since = self._observed
         seconds = 1.0 / self.config.fps if period is None else period
         wanted = [] if fingers is None else [closing(action) for action in chunk]
         path, sent = [], []
         for action in chunk:
-            q = actions.lead(actions.read(action), led)
-            sent.append(actions.named(q, led))
+            q = actions.setpoints(actions.read(action), commanded)
+            sent.append(actions.named(q, commanded))
             path.append(q)
-            led = q
+            commanded = q
         trajectory = urlink.Trajectory.from_arrays(seconds * np.arange(len(path)), np.array(path))
         if fingers is not None:
             fingers.check()

@@ -37,7 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--user", metavar="NAME", help="log in with this user name")
     parser.add_argument("--tls", action="store_true", help="encrypt, and check the certificate of the broker")
-    parser.add_argument("--ca", metavar="FILE", help="certificates for this check (default: those of the system)")
+    parser.add_argument(
+        "--ca", metavar="FILE", help="certificates for this check (default: the certificates of the system)"
+    )
     parser.add_argument(
         "--prefix", default=PREFIX, metavar="TOPIC", help=f"first part of all topics (default: {PREFIX})"
     )

@@ -100,7 +100,7 @@ def begin(robot: Robot, name: str, arguments: Mapping[str, Any]) -> Any:
         LinkError: If the method raises it.
     """
     if name not in COMMANDS:
-        raise BadValue(f"no command {name!r:.80}; expected one of cancel, stop, {', '.join(sorted(COMMANDS))}")
+        raise BadValue(f"unknown command {name!r:.80}; expected one of cancel, stop, {', '.join(sorted(COMMANDS))}")
     method = COMMANDS[name](robot)
     try:
         if "wait" in arguments:

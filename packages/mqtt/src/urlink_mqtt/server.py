@@ -247,7 +247,7 @@ class Server:
                 requested = (read(payload).client, requested[1])
             self._requested.append(requested)
         lane = self._stops if name in ("stop", "cancel") else self._others
-        lane.submit(self._carry_out, name, payload, requested)
+        lane.submit(self._execute, name, payload, requested)
 
     def _abandon(self, requested: list[tuple[str, PendingCall]]) -> None:
         """Abandon these motions, in any state."""
@@ -256,7 +256,7 @@ class Server:
 
     # -- in the threads of the lanes -------------------------------------------------------------------
 
-    def _carry_out(self, name: str, payload: bytes, requested: tuple[str, PendingCall]) -> None:
+    def _execute(self, name: str, payload: bytes, requested: tuple[str, PendingCall]) -> None:
         asked, said = Asked(), {}
         call = requested[1]
         try:

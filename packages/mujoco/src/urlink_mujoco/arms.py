@@ -60,12 +60,12 @@ class MountedArm:
         joints = [model.joint(prefix + joint) for joint in JOINTS]
         self._places = np.array([joint.qposadr[0] for joint in joints])
         self._dofs = np.array([joint.dofadr[0] for joint in joints])
-        self._led = self._dofs
+        self._driven = self._dofs
         self._fingers: Fingers | None = None
         if world.has_gripper(controller):
             self._fingers = Fingers(model, prefix, controller)
             self._fingers.put(world.data)
-            self._led = np.concatenate((self._dofs, self._fingers.dofs))
+            self._driven = np.concatenate((self._dofs, self._fingers.dofs))
         base = world.data.body(f"{prefix}base_link")
         # rotation from the world to the base frame
         self._base, self._turn, self._root = base.xpos.copy(), base.xmat.reshape(3, 3).T.copy(), base.id
@@ -94,12 +94,12 @@ class MountedArm:
     def put(self) -> None:
         """Put the arm at its controller's position, at rest; the fingers stay where they are."""
         data = self.world.data
-        data.qpos[self._places], data.qvel[self._led] = self._end[0], 0.0
+        data.qpos[self._places], data.qvel[self._driven] = self._end[0], 0.0
 
-    def lead_fingers(self, seconds: float) -> None:
+    def command_fingers(self, seconds: float) -> None:
         """Command the fingers for the coming `seconds`."""
         if self._fingers is not None:
-            self._fingers.lead(self.world.data, seconds)
+            self._fingers.command(self.world.data, seconds)
 
     def plan(self, times: NDArray[np.floating[Any]]) -> None:
         """Prepare steps that begin at these times of the world, in s.
@@ -123,14 +123,14 @@ class MountedArm:
             )
         )
 
-    def lead(self, step: int) -> None:
+    def drive(self, step: int) -> None:
         """Set the torques that drive the arm in a planned step, with known positions and speeds."""
         model, data = self.world.model, self.world.data
         q, qd, qdd = self._targets[:, step]
         off, slow = q - data.qpos[self._places], qd - data.qvel[self._dofs]
         self._wanted[self._dofs] = qdd + _STIFF * (_STIFF * off + 2.0 * slow)
         mujoco.mj_mulM(model, data, self._torque, self._wanted)
-        data.qfrc_applied[self._led] = self._torque[self._led] + data.qfrc_bias[self._led]
+        data.qfrc_applied[self._driven] = self._torque[self._driven] + data.qfrc_bias[self._driven]
 
     # -- contact forces ------------------------------------------------------------------------------
 

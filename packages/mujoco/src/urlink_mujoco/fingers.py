@@ -96,7 +96,7 @@ class Fingers:
         """Put the fingers at the position of the gripper."""
         data.qpos[self._places] = _way(self._gripper.position)
 
-    def lead(self, data: Any, seconds: float) -> None:
+    def command(self, data: Any, seconds: float) -> None:
         """Set the servo's target for the coming cycle, and notify the gripper of a grasped object."""
         registers, place = self._gripper.registers, float(data.qpos[self._places[0]])
         most = _WEAKEST + (_STRONGEST - _WEAKEST) * registers["FOR"] / 255

@@ -7,13 +7,15 @@ controllers and calls give the same states to the last bit, on the same computer
 
 These rules apply to the file:
 
-- A site with the name of an arm (`arm` for a single arm) is its base frame. Without such a site, the origin is.
+- A site with the name of an arm (`arm` for a single arm) is its base frame. Without such a site, the base frame is at
+  the origin.
 - The friction cones are elliptic, and the integrator is `implicitfast`. Both are set here and override the file. With
   MuJoCo's default, pyramids, objects slide more easily in one direction than in another. A part creeps out of a grasp
   unless the friction is stiffer than the normal force, so `impratio` is at least 10.
-- For geoms with MuJoCo's default `solimp`, the force of a contact starts at zero. With the default, 90 % of the
-  stiffness apply at a depth of 0, so contacts that come and go push in jerks. A box of 2 kg that is pushed at 0.05 m/s
-  then answers with 7 +- 2.4 N along and +- 5 N across; with the change, it is 5.89 N and less than 0.02 N.
+- If a geom has MuJoCo's default `solimp`, this value is replaced, so that the force of a contact starts at zero. With
+  the default, 90 % of the stiffness apply at a depth of 0, so contacts that come and go push in jerks. A box of 2 kg
+  that is pushed at 0.05 m/s then answers with 7 +- 2.4 N along and +- 5 N across; with the change, it is 5.89 N and
+  less than 0.02 N.
 """
 
 from __future__ import annotations
@@ -104,12 +106,12 @@ class MujocoWorld:
         model.opt.timestep = step = seconds / steps
         times = self._time + step * np.arange(steps)
         for arm in arms:
-            arm.lead_fingers(seconds)
+            arm.command_fingers(seconds)
             arm.plan(times)
         for i in range(steps):
             mujoco.mj_step1(model, data)
             for arm in arms:
-                arm.lead(i)
+                arm.drive(i)
             mujoco.mj_step2(model, data)
             mujoco.mj_rnePostConstraint(model, data)
             for arm in arms:
@@ -178,7 +180,7 @@ class MujocoWorld:
             return self.data.body(name)
         except KeyError:
             known = ", ".join(filter(None, (self.model.body(i).name for i in range(1, self.model.nbody))))
-            raise BadValue(f"no body is named {name!r}; expected one of {known}") from None
+            raise BadValue(f"unknown body {name!r}; expected one of {known}") from None
 
     # -- images --------------------------------------------------------------------------------------
 
@@ -196,7 +198,7 @@ class MujocoWorld:
         """
         if mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_CAMERA, camera) < 0:
             known = ", ".join(self.model.camera(i).name for i in range(self.model.ncam)) or "none"
-            raise BadValue(f"no camera is named {camera!r}; the file has {known}")
+            raise BadValue(f"unknown camera {camera!r}; expected one of {known}")
         try:
             return self._drawing.picture(self.state(), camera, (height, width), depth)
         except Exception as error:  # OpenGL, its platform and MuJoCo each raise their own errors

@@ -50,7 +50,7 @@ _MODES = {
 
 
 class RobotCollector(Collector):
-    """Collector that Prometheus asks at each scrape.
+    """Collector that Prometheus reads at each scrape.
 
     It keeps the robots' streams open until it is closed.
 

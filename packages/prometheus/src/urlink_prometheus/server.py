@@ -25,7 +25,7 @@ def serve_metrics(collector: Collector, host: str = HOST, port: int = PORT) -> I
     """Answer scrapes until the context ends; yield the port.
 
     Args:
-        collector: Collector that is asked at each scrape.
+        collector: Collector that is read at each scrape.
         host: Address to listen at. Anyone who can reach it can read the metrics.
         port: TCP port; 0 for a free port.
 

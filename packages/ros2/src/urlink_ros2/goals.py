@@ -87,7 +87,8 @@ def read_goal(message: Any, joints: Sequence[str], here: Any, passed: float = 0.
 
     Raises:
         Late: If the arm is not at the current point of the trajectory.
-        BadValue: If the joints differ, if only some points have velocities, or if `Trajectory` rejects the points.
+        BadValue: If the joint names are not those of the arm, if only some points have velocities, or if `Trajectory`
+            rejects the points.
     """
     names = list(message.trajectory.joint_names)
     if sorted(names) != sorted(joints):

@@ -76,7 +76,7 @@ class RobotNode:
         self._every = 1 if rate is None else max(round(robot.firmware.rate / rate), 1)
         self._came = itertools.count()
         joints = [f"{prefix}{joint}" for joint in JOINT_NAMES]
-        self._publishers = StatePublishers(self.node, joints, f"{prefix}base", f"{prefix}tool0")
+        self._publishers = StatePublishers(self.node, joints, f"{prefix}base")
         self._is_commanded = _takes_commands(robot)
         self._action: Any = None
         self._topics: CommandTopics | None = None

@@ -33,7 +33,7 @@ _ALWAYS = ("power_off", "pause", "stop", "shutdown")
 
 
 def create_services(node: Any, robot: Robot, halt: Callable[[], object], expiry: Expiry) -> None:
-    """Create the services of one robot; each answers when the robot has done it or failed.
+    """Create the services of one robot; each answers when the robot has executed the command, or has failed.
 
     Args:
         node: Node that serves them.

@@ -31,10 +31,10 @@ class StatePublishers:
     Args:
         node: Node that publishes.
         joints: Names of the joints.
-        base, force: Frames of poses, and of the force at the tool.
+        base: Name of the base frame, in which poses and forces are published.
     """
 
-    def __init__(self, node: Any, joints: list[str], base: str, force: str) -> None:
+    def __init__(self, node: Any, joints: list[str], base: str) -> None:
         self._node = node
         self._joints = node.create_publisher(JointState, "joint_states", STREAMED)
         self._pose = node.create_publisher(PoseStamped, "tcp_pose_broadcaster/pose", STREAMED)
@@ -58,7 +58,8 @@ class StatePublishers:
         self._pose_stamped = PoseStamped()
         self._pose_stamped.header.frame_id = base
         self._wrench_stamped = WrenchStamped()
-        self._wrench_stamped.header.frame_id = force
+        # The controller reports the force along the axes of its base, with moments about the TCP.
+        self._wrench_stamped.header.frame_id = base
 
     def describe(self, robot: Robot) -> None:
         """Publish the arm as URDF with simple shapes; publish nothing if the model is unknown."""

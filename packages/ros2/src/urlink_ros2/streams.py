@@ -48,12 +48,12 @@ class CommandTopics:
         self._robot = robot
         self._expiry = expiry
         group = ReentrantCallbackGroup()
-        self._led = []
-        for kind, name, led in (
+        self._topics = []
+        for kind, name, topic in (
             (
                 Float64MultiArray,
                 "forward_position_controller/commands",
-                _Led(
+                _BlockTopic(
                     "positions",
                     partial(robot.motion.servo, target_filter="jerk_limited"),
                     lambda servo, message: servo.send(list(message.data)),
@@ -63,7 +63,7 @@ class CommandTopics:
             (
                 Float64MultiArray,
                 "forward_velocity_controller/commands",
-                _Led(
+                _BlockTopic(
                     "velocities",
                     partial(robot.motion.jog, "joints", timeout=_SILENT),
                     lambda jog, message: jog.move(list(message.data)),
@@ -73,30 +73,32 @@ class CommandTopics:
             (
                 Bool,
                 "freedrive_mode_controller/enable_freedrive_mode",
-                _Led("freedrive", robot.freedrive, lambda freedrive, message: None, _FREEDRIVE, lambda m: bool(m.data)),
+                _BlockTopic(
+                    "freedrive", robot.freedrive, lambda freedrive, message: None, _FREEDRIVE, lambda m: bool(m.data)
+                ),
             ),
         ):
-            self._led.append(led)
-            node.create_subscription(kind, name, partial(self._take, led), STREAMED, callback_group=group)
+            self._topics.append(topic)
+            node.create_subscription(kind, name, partial(self._take, topic), STREAMED, callback_group=group)
         node.create_subscription(String, "urscript_interface/script_command", self._run, 10, callback_group=group)
 
     def end(self) -> None:
         """End all blocks. Do not wait for their end."""
-        for led in self._led:
-            led.end()
+        for topic in self._topics:
+            topic.end()
 
     def wait_ended(self, seconds: float = _END) -> None:
         """Wait until all blocks have ended, at most `seconds` for each."""
-        for led in self._led:
-            led.wait_ended(seconds)
+        for topic in self._topics:
+            topic.wait_ended(seconds)
 
-    def _take(self, led: _Led, message: Any) -> None:
+    def _take(self, topic: _BlockTopic, message: Any) -> None:
         try:
             self._expiry.check()
         except LinkError as error:
-            _log.warning("%s: message rejected: %s", led.name, error)
+            _log.warning("%s: message rejected: %s", topic.name, error)
         else:
-            led.take(message)
+            topic.take(message)
 
     def _run(self, message: Any) -> None:
         try:
@@ -106,7 +108,7 @@ class CommandTopics:
             _log.warning("script not run: %s", error)
 
 
-class _Led:
+class _BlockTopic:
     """A block, and the messages for it.
 
     Args:

@@ -74,7 +74,7 @@ class Commander:
 
     @property
     def is_commanded_by_wire(self) -> bool:
-        """Whether commands arrive by the wire of the mode."""
+        """Whether commands are arriving over the wire of the current mode."""
         return clock.now() - self._heard < _STALE
 
     def choose(self, mode: str, endpoint: int) -> None:

@@ -39,7 +39,7 @@ def write_signal(robot: Robot, name: str, values: Sequence[float]) -> None:
     """
     kind, direction, number, other = _parts(name)
     if len(values) != 1:
-        raise BadValue(f"{name}: {list(values)}; expected one number")
+        raise BadValue(f"the value of {name} is {list(values)}; expected one number")
     value = float(values[0])
     if other == "speed_slider":
         robot.set_speed_slider(value)
@@ -52,15 +52,15 @@ def write_signal(robot: Robot, name: str, values: Sequence[float]) -> None:
     elif value in (0.0, 1.0):
         getattr(robot.io, f"set_{kind}_out")(number, bool(value))
     else:
-        raise BadValue(f"{name}: {value}; expected 0 or 1")
+        raise BadValue(f"the value of {name} is {value}; expected 0 or 1")
 
 
 def _parts(name: str) -> tuple[str, str, int, str | None]:
     match = _NAME.fullmatch(name)
     if match is None:
         raise BadValue(
-            f"no signal {name!r}; expected a name such as digital_in_0, configurable_digital_out_0, tool_digital_in_0, "
-            "analog_in_0, tool_voltage or speed_slider"
+            f"unknown signal {name!r}; expected a name such as digital_in_0, configurable_digital_out_0, "
+            "tool_digital_in_0, analog_in_0, tool_voltage or speed_slider"
         )
     kind, direction, number, other = match.groups()
     return kind or "", direction or "", int(number or 0), other

@@ -221,7 +221,7 @@ class _Player:
         self._last: float | None = None
 
     def play(self) -> None:
-        """Advance if playback is on, and show the time of the slider."""
+        """Advance if playback is on, and show the arm at the time of the slider."""
         now = clock.now()
         if self._plays.value and self._last is not None:
             self._time.value = min(self._time.value + (now - self._last) * self._rate.value, self._end)

@@ -24,7 +24,7 @@ LOOPBACK = frozenset({"127.0.0.1", "localhost", "::1"})
 #: Pages that may embed this page: notebooks on this computer. Other pages could trick a person into pressing its
 #: buttons.
 _FRAMES = "frame-ancestors 'self' http://127.0.0.1:* http://localhost:*"
-#: Only one page at a time is created, because a function that starts servers is replaced meanwhile.
+#: Only one page at a time is created, because a function that starts servers is replaced during the creation.
 _making = threading.Lock()
 
 
@@ -79,7 +79,7 @@ class Page(Closing):
 
         class Unshared(viser.ViserServer):  # type: ignore[misc]
             def request_share_url(self, verbose: bool = True) -> None:
-                """Do nothing: a client requests it, and the whole internet would see the page."""
+                """Do nothing: otherwise any client could make the page visible to the whole internet."""
 
         # Suppress the output of viser, which is meant for a person who runs viser.
         with _making, _checked(websocket_server, names) as checked, contextlib.redirect_stdout(io.StringIO()):

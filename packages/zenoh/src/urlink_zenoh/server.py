@@ -185,7 +185,7 @@ class _Served:
 
         def put(packet: State) -> None:
             nonlocal firmware, encoding, last
-            # Count all packets that the stream received, including those that the queue of this callback dropped.
+            # Count all packets that the stream received, including packets that the queue of this callback dropped.
             number = (next(taken) + (subscriptions[-1].stats.dropped if subscriptions else 0)) // every
             if number == last or packet.received is None:
                 return
@@ -238,9 +238,9 @@ class _Served:
             self._requested.append(call)
         requested = list(self._requested) if name == "cancel" else []
         with contextlib.suppress(RuntimeError):  # the lanes are shut down
-            self._lanes[kind].submit(self._carry_out, name, query, call, requested)
+            self._lanes[kind].submit(self._execute, name, query, call, requested)
 
-    def _carry_out(self, name: str, query: zenoh.Query, call: PendingCall, requested: list[PendingCall]) -> None:
+    def _execute(self, name: str, query: zenoh.Query, call: PendingCall, requested: list[PendingCall]) -> None:
         try:
             handle = call.make(lambda: self._begun(name, query, requested))
         except Exception as error:
@@ -267,17 +267,17 @@ class _Served:
             return None
         command = COMMANDS.get(name)
         if command is None:
-            raise BadValue(f"no command {name!r}; expected one of cancel, {', '.join(sorted(COMMANDS))}")
+            raise BadValue(f"unknown command {name!r}; expected one of cancel, {', '.join(sorted(COMMANDS))}")
         if name == "follow":
             arguments.setdefault("watchdog", self._watchdog)
         parameters = {name: query.parameters.get(name) for name in ("server", "time", "age", "command")}
 
-        def carry_out() -> Any:
+        def execute() -> Any:
             if command.kind is not Kind.STOP:  # a late stop is better than no stop
                 self._expiry.check(parameters)
             return command.call(self._robot, arguments)
 
-        result = self._clients.begin(client, carry_out) if command.kind is Kind.MOTION else carry_out()
+        result = self._clients.begin(client, execute) if command.kind is Kind.MOTION else execute()
         if not isinstance(result, Motion):
             return None
         motion = result

@@ -1,1 +1,1 @@
-"""Plugins that are part of the host: a bridge for velocities, a turtle world, a logger, and MQTT robots."""
+"""Plugins that are part of the host: a bridge for velocities, a turtle world, and a logger."""

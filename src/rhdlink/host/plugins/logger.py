@@ -1,4 +1,4 @@
-"""`Logger`: a plugin that writes every variable at each tick, to a table or to a recording of the wire."""
+"""Class `Logger`, a plugin that writes every variable at each tick to a table or to a recording."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ _WAITING = 4096
 #: Maximum number of names with a number that are tried to find a free one.
 _MOST_FILES = 10_000
 
-#: For the (direction, name) of a variable, its declaration by a plugin and the order of its words.
+#: (direction, name) of a variable -> declaration of the variable by a plugin, and the order of its words.
 _Declared = Mapping[tuple[str, str], tuple[Declaration[Any, Any], Order]]
 
 
 class _Moment:
-    """The values and time stamps of all variables at one tick."""
+    """Values and time stamps of all variables at one tick."""
 
     __slots__ = ("stamp", "stamps", "values")
 
@@ -53,13 +53,14 @@ class _Moment:
 
 
 class Logger(Plugin):
-    """Logs all variables at each tick to a new file.
+    """Plugin that logs all variables at each tick to a new file.
 
-    The suffix selects the format. ``.csv`` is a table with ``time`` (s since 1970), and a column for each value of each
-    variable, read variables first. Values have the types that the plugins declare: a double is one number, a `Scaled`
-    is in its unit, text is text, and a structure has a column for each field. Variables that no plugin declares are
-    written as words. ``.urlog`` is a recording of linkcore. It contains the bytes that a client would receive if it
-    were sent all variables at every tick, so that every program that reads a connection can read it.
+    The suffix of the file selects the format. ``.csv`` is a table with a column ``time`` (s since 1970), and a column
+    for each value of each variable, read variables first. Values have the types that the plugins declare: a double is
+    one number, a `Scaled` is in its unit, text is text, and a structure has a column for each field. Variables that no
+    plugin declares are written as words. ``.urlog`` is a recording of linkcore. It contains the bytes that a client
+    would receive if the host sent all variables at every tick. Therefore every program that can read a connection can
+    read the recording.
 
     No file is ever overwritten. If ``run.csv`` exists, the log is written to ``run-1.csv``, then to ``run-2.csv``. A
     robot that is started with the same configuration each day therefore keeps the log of each day; `path` is the path
@@ -112,7 +113,7 @@ class Logger(Plugin):
             raise BadValue('a logger needs a path; add path="..."')
         self._every = config.integer("every", self._every, least=1)
         self._path = _free(self._path)
-        # Create it now, so that an error shows at the start. The variables are known only at the first tick.
+        # Create the file now, so that an error is raised at the start. The variables are known only at the first tick.
         self._sheet = _CsvSheet(self._path) if self._path.suffix == ".csv" else _RecordingSheet(self._path)
         _log.info("logging into %s", self._path)
 
@@ -129,7 +130,7 @@ class Logger(Plugin):
         """Write pending entries, and close the file.
 
         Raises:
-            LinkTimeout: If the disk did not accept them in time.
+            LinkTimeout: If the disk did not accept the entries in time.
         """
         done = self._delivery is None or self._delivery.finish()
         self._sheet.close()
@@ -164,7 +165,7 @@ def _free(path: Path) -> Path:
 
 
 class _CsvSheet:
-    """A table that is being written."""
+    """CSV table that is being written."""
 
     def __init__(self, path: Path) -> None:
         try:
@@ -197,7 +198,7 @@ class _CsvSheet:
 
 
 class _Cells(NamedTuple):
-    """Neighbouring columns: their names, the words of a table that they come from, and the conversion."""
+    """Neighbouring columns: their names, the range of words from which they are made, and the conversion."""
 
     names: list[str]
     words: slice
@@ -236,7 +237,7 @@ def _columns(name: str, value: Any) -> Iterator[tuple[str, Any]]:
 
 
 class _RecordingSheet:
-    """A recording that is being written; for its methods see `_CsvSheet`."""
+    """Recording that is being written. For its methods, see `_CsvSheet`."""
 
     def __init__(self, path: Path) -> None:
         self._writer = RecordingWriter(path)

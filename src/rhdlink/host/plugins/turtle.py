@@ -1,8 +1,8 @@
-"""`Turtle`: a simulated robot in a walled square, for trying everything without hardware.
+"""Simulated robots in a walled square, with which programs can be tested without hardware.
 
-`Turtle` is a velocity-omega robot. `SmrTurtle` is an SMR, which is driven by the speeds of its wheels. Their variables
-and scales are those that MRC expects. Both stop when their last writer disconnects; the original leaves this to each
-plugin. They do not start again until new values are written, because a master that is killed does not send zeros.
+`Turtle` is a velocity-omega robot. `SmrTurtle` is an SMR, which is driven by the speeds of its wheels. MRC expects
+their variables and scales. Both robots stop when their last writer disconnects; in the original, each plugin decides
+this. They do not move again until new values are written, because a master that is killed does not send zeros.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from ..config import Element
 from ..plugin import Plugin
 from ..world import World
 
-#: Position of the SMR's line sensors, in m: before the robot's middle, and to its left for each sensor. The spacing
-#: follows from MRC, which uses 2 cm for each sensor (linesensor.c). The 21 cm ahead follow from its test of
-#: `followline`.
+#: Positions of the SMR's line sensors, in m: distance in front of the robot's centre, and distance to the left for each
+#: sensor. The spacing is from MRC, which uses 2 cm for each sensor (linesensor.c). The distance of 21 cm is from MRC's
+#: test of `followline`.
 _LINE_AHEAD = 0.21
 _LINE_ASIDE = tuple(0.02 * (number - 3.5) for number in range(8))
 #: Raw values of the line sensors on black and on white.
@@ -32,7 +32,7 @@ _DIRECTIONS = tuple(map(math.radians, (90.0, 22.5, 0.0, -22.5, -90.0)))
 
 
 class _InWorld(Plugin):
-    """The common part of the two turtles.
+    """Base class of the two turtles.
 
     Args:
         world: World to drive in; by default 11 x 11 m, with the start in the middle.
@@ -68,7 +68,7 @@ class _InWorld(Plugin):
 
 
 class Turtle(_InWorld):
-    """A velocity-omega robot in a square world.
+    """Simulated velocity-omega robot in a square world.
 
     Args:
         world: World to drive in; by default 11 x 11 m, with the start in the middle.
@@ -111,7 +111,7 @@ class Turtle(_InWorld):
 
 
 class SmrTurtle(_InWorld):
-    """An SMR in a square world: two wheels, their encoders, and the distances to the walls.
+    """Simulated SMR in a square world, with two wheels, encoders, line sensors and distance sensors.
 
     The raw value of a distance sensor is ``16 / m + 76``, the same as in MRC without calibration. The sensors are in
     the middle of the robot.

@@ -1,7 +1,7 @@
-"""Bridge between RHD programs and a velocity-omega robot: velocities out, poses in, as plain calls.
+"""Bridge between RHD programs and a velocity-omega robot. Velocities and poses are passed with function calls.
 
-Programs such as MRC write `cmdtransvel` and `cmdrotvel`, and the bridge turns these into a `Twist`. The poses of the
-robot are passed to `update_pose`. An `Odometer` converts them to `transpos` and `rotpos`, which the program receives.
+Programs such as MRC write `cmdtransvel` and `cmdrotvel`, and the bridge converts these to a `Twist`. The poses of the
+robot are passed to `update_pose`. An `Odometer` converts the poses to `transpos` and `rotpos`, which the program reads.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from ..plugin import Plugin
 
 
 class Odometer:
-    """Converts poses to `transpos` and `rotpos`.
+    """Converter from poses to `transpos` and `rotpos`.
 
-    The travelled distance is the displacement since the last pose projected on the heading,
-    ``dx cos(theta) + dy sin(theta)``, times the linear scale, accumulated. The heading is multiplied by the angular
-    scale. Fractions of a count are kept, so that slow motion is not lost. Counting begins at the first pose. A heading
-    that jumps by a full turn, because it is kept within +-pi, is continued without the jump.
+    For each pose, the displacement since the last pose is projected on the heading, ``dx cos(theta) + dy sin(theta)``,
+    and multiplied by the linear scale. The travelled distance is the sum of these values. The heading is multiplied by
+    the angular scale. Fractions of a count are kept, so that slow motion is not lost. Counting begins at the first
+    pose. If the heading jumps by a full turn, because its range is limited to +-pi, the jump is removed.
 
     Args:
         linear_scale: Counts per m. The known robots and MRC use 100000, or a scale given by their wheels.
@@ -81,18 +81,19 @@ _MOST_POSES = 1000
 
 
 class Twist(NamedTuple):
-    """A velocity: forward in m/s, and turning to the left in rad/s."""
+    """Velocity of a robot: forward speed in m/s, and turn rate to the left in rad/s."""
 
     linear: float
     angular: float
 
 
 class VelocityBridge(Plugin):
-    """Passes velocities to a function, and receives poses.
+    """Plugin that passes velocities to a function, and receives poses.
 
-    The function is called when a program has written a velocity that differs from the previous one. It is called with
-    zero when the last client that may write has disconnected. It runs in a separate thread, so it may take long: the
-    tick does not wait, and the next call gets the newest velocity. Its exceptions are logged and counted.
+    The function is called when a program has written a velocity that differs from the previous velocity. It is called
+    with zero when the last client that may write has disconnected. The function runs in a separate thread, so it may
+    take long: the tick does not wait, and the next call gets the newest velocity. Exceptions of the function are logged
+    and counted.
 
     Args:
         on_twist: Function that receives each new `Twist`.

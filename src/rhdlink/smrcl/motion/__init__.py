@@ -1,1 +1,1 @@
-"""The motions of a robot: one class for each motion, and the state that all of them share."""
+"""Motions of a robot, with one class for each motion, and the state that all motions share."""

@@ -2,8 +2,9 @@
 
 In each cycle, a motion computes the wheel speeds from the pose, the speed and the sensors. For a velocity-omega robot,
 it computes a speed and a turn rate. MRC keeps one large structure that its motions read and write. Values that one
-motion leaves there affect the next motion (the target pose after an interrupted `fwd`, the turn rate after `stop`).
-This module does the same: a motion is an object, but targets, speeds and outputs belong to `MotionControl`.
+motion leaves in this structure affect the next motion; examples are the target pose after an interrupted `fwd`, and the
+turn rate after `stop`. This module does the same: a motion is an object, but targets, speeds and outputs belong to
+`MotionControl`.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ class DriveKind(enum.Enum):
 class MotionParameters:
     """Settings of motion control, from `robot.conf` and `setpar`.
 
-    The defaults are MRC's without a file.
+    The defaults are those of MRC without a configuration file.
 
     Attributes:
         period: Duration of a cycle, in s.
@@ -70,7 +71,7 @@ class MotionParameters:
 
 
 class ControlledMotion:
-    """One motion.
+    """Motion of a robot.
 
     `begin` is called in the cycle that executes its line, and `update` in that cycle and all later ones.
     """
@@ -82,9 +83,9 @@ class ControlledMotion:
         """Set the speeds for one cycle."""
 
     def is_done(self, control: MotionControl) -> bool:
-        """Whether the line of the script has ended on its own.
+        """Whether the line of the script has ended without a stop condition.
 
-        False for motions that only a condition ends.
+        It is False for motions that only a stop condition ends.
         """
         return False
 
@@ -134,7 +135,7 @@ class MotionControl:
         cycles: Number of cycles since the motion began.
         left, right: Wheel speeds in m/s; for a velocity-omega robot, both are its speed.
         omega: Turn rate of a velocity-omega robot, in rad/s.
-        say: Function that receives the text that MRC prints about a motion.
+        report: Function that receives the text that MRC prints about a motion.
         motion: Current motion.
         reached: Speed that the motion has reached, in m/s.
     """
@@ -169,7 +170,7 @@ class MotionControl:
     left: float = 0.0
     right: float = 0.0
     omega: float = 0.0
-    say: Callable[[str], object] = str
+    report: Callable[[str], object] = str
     motion: ControlledMotion = field(default_factory=Standing)
     reached: float = 0.0
 
@@ -198,7 +199,7 @@ class MotionControl:
         self.is_blocked = False
         self.motion.update(self)
         if self._finishing is not None:
-            # The script notices the end of a motion one cycle late, and its next line begins in the cycle after that.
+            # The script detects the end of a motion one cycle later, and its next line begins in the following cycle.
             self._finishing -= 1
             if self._finishing < 0:
                 self.rest()
@@ -250,9 +251,9 @@ class MotionControl:
         self.reached = velocity
 
     def clearance(self, is_ahead: bool) -> float:
-        """Distance in m, ahead or behind, to the point where the robot must stop.
+        """Return the distance in m, ahead or behind, to the point where the robot must stop.
 
-        Sets `is_blocked` if it is near.
+        Set `is_blocked` if this point is near.
         """
         free = (self.obstacle_front if is_ahead else self.obstacle_back) - self.parameters.stop_distance
         free = max(free, 0.0)
@@ -267,12 +268,12 @@ def limited(value: float, least: float, most: float) -> float:
 
 
 def ramped(wanted: float, now: float, step: float) -> float:
-    """`wanted`, or the value one `step` from `now` towards it if it is further away."""
+    """Return `wanted`; if it is more than `step` away from `now`, return `now` changed by `step` towards it."""
     if wanted > now + step:
         return now + step
     return now - step if wanted < now - step else wanted
 
 
 def root(value: float) -> float:
-    """Square root; nan for a negative value."""
+    """Return the square root; nan for a negative value."""
     return math.sqrt(value) if value >= 0.0 else NAN

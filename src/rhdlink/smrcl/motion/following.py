@@ -75,7 +75,7 @@ class FollowWall(ControlledMotion):
         control.reached = control.velocity
 
     def _error(self, control: MotionControl) -> float:
-        """Error of the distance in m; positive if the robot must turn left."""
+        """Return the error of the distance in m; it is positive if the robot must turn left."""
         return control.ir_left - self._distance if self._is_left else self._distance - control.ir_right
 
     def update(self, control: MotionControl) -> None:

@@ -3,9 +3,9 @@
 Each piece is driven forward or backward.
 
 Both arcs have the same radius. The first circle touches the start pose on its left or right, and the last circle
-touches the goal in the same way. A common tangent joins the circles, and each arc can go either way round its circle.
-The shortest of all these paths is chosen. A later path replaces the best one only if it is at least 1 mm shorter. So
-the order of the enumeration affects the result, and it is the order of MRC (drivetopoint_generate.c and
+touches the goal in the same way. A common tangent joins the circles, and each arc can follow its circle in either
+direction. The shortest of all these paths is chosen. A later path replaces the best one only if it is at least 1 mm
+shorter. So the order of the enumeration affects the result, and it is the order of MRC (drivetopoint_generate.c and
 drivetopoint_evaluate.c by J. M. Bruun and O. Corradi).
 """
 
@@ -27,7 +27,7 @@ _EXACT, _NEGLIGIBLE = 1e-6, 1e-3
 
 @dataclass(frozen=True)
 class ArcPath:
-    """A path to a pose.
+    """Path to a pose: an arc, a straight piece and an arc.
 
     Attributes:
         first, last: Angles of the arcs in rad; positive if the centre is on the left.
@@ -44,7 +44,7 @@ class ArcPath:
     last_direction: int
 
     def length(self, radius: float) -> float:
-        """Length of the path in m, with arcs of `radius`."""
+        """Return the length of the path in m, with arcs of `radius`."""
         return radius * (abs(self.first) + abs(self.last)) + self.straight
 
     @property
@@ -56,7 +56,7 @@ class ArcPath:
 def choose_path(goal: PlanarPose, radius: float, *, forward_only: bool = False) -> ArcPath | None:
     """Choose the shortest path from the origin to `goal`.
 
-    None if the goal is nan or inf, or if `forward_only` excludes all paths.
+    Return None if the goal is nan or inf, or if `forward_only` excludes all paths.
     """
     best: ArcPath | None = None
     for path in ways(goal, radius):
@@ -177,11 +177,11 @@ _TOLERANCE = 0.0005
 
 
 class NoWay(ValueError):
-    """There is no path to the goal, or every path goes backward."""
+    """Error: there is no path to the goal, or every path goes backward."""
 
 
 class DriveToPoint(ControlledMotion):
-    """Three motions in a row, planned once and driven without checking the goal again.
+    """Motion along an arc, a line and an arc. The path is planned once, and the goal is not checked again.
 
     The motion ends at full speed unless the last piece changes the direction. It ends a few centimetres and degrees
     away from the goal.
@@ -208,15 +208,15 @@ class DriveToPoint(ControlledMotion):
         Raises:
             NoWay: If `evaluation` is 1 and every path goes backward, or if the goal is not a number.
         """
-        control.say("\ndtp: Generating feasible paths...")
+        control.report("\ndtp: Generating feasible paths...")
         goal = relative(self._goal, control.pose) if self._is_absolute else self._goal
-        control.say("\ndtp: Choosing the optimal path...")
+        control.report("\ndtp: Choosing the optimal path...")
         forward_only = control.profile.topoint_evaluates and control.parameters.evaluation == 1.0
-        control.say(f"\ndtp_evalmethod = DTP_EVAL_SHORTEST{'_NOBACK' * forward_only}")
+        control.report(f"\ndtp_evalmethod = DTP_EVAL_SHORTEST{'_NOBACK' * forward_only}")
         path = choose_path(goal, self._radius, forward_only=forward_only)
         if path is None:
             raise NoWay("there is no path to the goal" + " without driving backward" * forward_only)
-        control.say("\ndtp: Starting movement...")
+        control.report("\ndtp: Starting movement...")
         control.target = control.pose.copy()
         self._lengths = [self._radius * abs(path.first), path.straight, self._radius * abs(path.last)]
         turns_back = path.straight_direction * path.last_direction == -1
@@ -224,7 +224,7 @@ class DriveToPoint(ControlledMotion):
             Forward(path.straight_direction * path.straight) if turns_back else FollowDirection()
         )
         # Each piece, and the direction of its speed. If the path turns back, the straight piece is a `fwd`, which slows
-        # down before the turning point and has its direction in its distance.
+        # down before the turning point; the sign of its distance gives its direction.
         self._pieces = [
             (ArcTurn(self._radius, path.first, is_piece=True) if path.first else None, path.first_direction),
             (straight if path.straight else None, 1 if turns_back else path.straight_direction),

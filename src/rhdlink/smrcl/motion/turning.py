@@ -68,11 +68,11 @@ class Turn(ControlledMotion):
         if profile.full_turns:
             control.heading_error = remaining
         else:
-            # Not normalised, so the error jumps by a full turn when the heading wraps.
+            # The error is not normalised, so it jumps by a full turn when the heading wraps.
             control.heading_error = control.target.th - control.pose.th
 
     def _so_far(self, control: MotionControl) -> float:
-        """Angle turned so far from the previous target heading, in rad."""
+        """Return the angle turned so far from the previous target heading, in rad."""
         heading = control.pose.th
         if control.profile.full_turns:
             self._turned += normalize_angle(heading - self._heading)
@@ -220,9 +220,9 @@ class Clothoid(ControlledMotion):
         self._sharpness = power(divide(1.0, tangent), 2.0) * math.pi * power(opened, 2.0)
         self._half = root(divide(angle, self._sharpness))
         if self._angle > math.pi / 2:
-            control.say("Warning angles larger than 90 degrees are not recomended")
+            control.report("Warning angles larger than 90 degrees are not recomended")
         if self._sharpness * control.speed > _SHARPEST / _HALF_WIDTH:
-            control.say("Warning to sharp turn")
+            control.report("Warning to sharp turn")
 
     def update(self, control: MotionControl) -> None:
         """Set the wheel speeds, and steer to the planned heading.
@@ -270,7 +270,7 @@ class Clothoid(ControlledMotion):
 
 
 def _fresnel(x: float) -> tuple[float, float]:
-    """Fresnel integrals C(x) and S(x), of cos and sin of ``pi/2 t**2``, from their power series.
+    """Return the Fresnel integrals C(x) and S(x), of cos and sin of ``pi/2 t**2``, from their power series.
 
     Here `x` is at most 5, and a turn of pi has 1. The series converge to the last digit for `x` up to about 3.
     """

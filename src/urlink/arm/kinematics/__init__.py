@@ -1,4 +1,4 @@
-"""Forward and inverse kinematics of every arm, as published and as calibrated.
+"""Forward and inverse kinematics of every arm, published or calibrated.
 
 >>> from urlink.arm.kinematics import Arm
 >>> Arm("UR10e").forward([0, -1.5, 0.1, -1.57, 0.5, 0]).round(3).tolist()

@@ -22,15 +22,15 @@ from .closed_form import BRANCHES, wrapped, wrist_place
 from .geometry import Angles, DenavitHartenberg, Geometry, calibrated, chain, flange, jacobian, nominal, velocity
 from .inverse import around, branches, branches_of_rows, closest, closest_of_rows, distance
 
-# Solutions closer than this, in rad, count as one. Where two branches meet, rounding errors separate them by about the
-# square root of the precision.
+# Two solutions that differ by less than this, in rad, count as one. If two branches meet, rounding errors separate them
+# by about the square root of the floating-point precision.
 _SAME = 1e-6
 
 
 class Unreachable(BadValue):
-    """Error if a pose is out of reach: no joint positions move the tool to it."""
+    """Error: a pose is out of reach, because no joint positions move the tool to this pose."""
 
-    __module__ = "urlink"  # users import it from this module, and tracebacks show it
+    __module__ = "urlink"  # users import the class from `urlink`, so tracebacks show this name
 
 
 class Arm(StrictAttributes):
@@ -38,13 +38,13 @@ class Arm(StrictAttributes):
 
     Joint positions are six numbers in rad, from base to wrist 3. A pose is x, y, z in m and a rotation vector in rad,
     in the controller's base frame; `urlink.poses` converts poses. A TCP is a pose in the flange frame. Methods accept
-    one row of six numbers, or an array of rows, shape (..., 6), which takes a few microseconds per row.
+    one row of six numbers, or an array of rows, shape (..., 6). A call with an array takes a few microseconds per row.
 
     `Arm(model)` has the geometry that the vendor publishes. `Arm.calibrated` has the geometry of one particular robot.
     Collisions of the arm with itself or its surroundings are not checked.
 
     Args:
-        model: Name by the vendor, in upper or lower case, or a `Model`.
+        model: Name that the vendor uses, in upper or lower case, or a `Model`.
 
     Raises:
         UnknownModel: If no arm has this name.
@@ -66,7 +66,7 @@ class Arm(StrictAttributes):
 
     @classmethod
     def calibrated(cls, model: str | Model, table: DenavitHartenberg) -> Arm:
-        """Create an arm with the DH parameters that its controller sends, which are accurate to about 0.1 mm.
+        """Create an arm with the DH parameters that its controller sends. The result is accurate to about 0.1 mm.
 
         Args:
             model: Model of the robot.
@@ -75,7 +75,8 @@ class Arm(StrictAttributes):
 
         Raises:
             UnknownModel: If no arm has this name.
-            BadValue: If the parameters do not belong to this model. The message names the link, and both values.
+            BadValue: If the parameters do not belong to this model. The message names the link, its value, and the
+                published value.
         """
         arm = cls(model)
         arm._table = table
@@ -169,25 +170,27 @@ class Arm(StrictAttributes):
     def inverse(
         self, pose: ArrayLike, near: ArrayLike, tcp: ArrayLike | None = None, *, is_limited: bool = True
     ) -> FloatArray:
-        """Return the joint positions for a pose that are closest to `near`: with the smallest maximum joint motion.
+        """Return the joint positions that reach a pose with the smallest joint motion from `near`.
 
-        In the wrist singularity, where the axes of joints 4 and 6 are parallel, joint 6 is free. It keeps its value in
-        `near`.
+        If several solutions reach the pose, the result is the one with the smallest maximum joint motion. In the wrist
+        singularity, the axes of joints 4 and 6 are parallel, and joint 6 can have any value. Then joint 6 keeps its
+        value from `near`.
 
         Args:
             pose: Poses of the tool in the base frame, shape (..., 6).
             near: Joint positions, shape (..., 6), in rad; broadcast against the poses.
             tcp: Pose of the TCP in the flange frame, shape (6,); None for the flange.
-            is_limited: Whether each joint is in the turn closest to `near` that is within its limits. If False, it is
-                in the closest turn, which continues a path.
+            is_limited: Whether each joint is in the turn closest to `near` that is within its limits. If False, each
+                joint is in the closest turn regardless of its limits, so that a path continues without a jump.
 
         Returns:
             Joint positions, shape (..., 6), in rad. If several poses are given, the rows of poses out of reach are NaN.
 
         Raises:
             Unreachable: If a single pose was given, and it is out of reach.
-            BadValue: If an argument does not have its shape, contains a number that is not finite, or does not
-                broadcast. Also if a rotation vector is longer than one turn, for example because it is in degrees.
+            BadValue: If an argument has the wrong shape, contains a number that is not finite, or does not
+                broadcast. The error is also raised if a rotation vector is longer than one turn, for example because it
+                is in degrees.
         """
         if rigid.is_single(pose) and rigid.is_single(near):
             target, close = _target(_pose(pose), tcp), _one(near)
@@ -208,18 +211,19 @@ class Arm(StrictAttributes):
     def branches(self, pose: ArrayLike, tcp: ArrayLike | None = None) -> FloatArray:
         """Return all eight branches of the solution for a pose, one row for each.
 
-        The index of the row is 4 * shoulder + 2 * wrist + elbow. Shoulder is 0 on the side of the wrist, and 1 on the
-        other side. Wrist is 0 for a positive joint 5, and 1 for a negative one. Elbow is 0 for a positive joint 3, and
-        1 for a negative one. Along a path, each row is continuous, up to whole turns, until the branch ends at the edge
-        of its reach. The branches of a calibrated arm continue those of the published arm.
+        The index of the row is 4 * shoulder + 2 * wrist + elbow. Shoulder is 0 if the x axis of frame 1 points towards
+        the wrist, and 1 if it points away from the wrist. Wrist is 0 if joint 5 is positive, and 1 if joint 5 is
+        negative. Elbow is 0 if joint 3 is positive, and 1 if joint 3 is negative. Along a path, each row is continuous
+        except for whole turns, until the branch ends at the edge of its reach. The branches of a calibrated arm
+        continue those of the published arm.
 
         Args:
             pose: Poses of the tool in the base frame, shape (..., 6).
             tcp: Pose of the TCP in the flange frame, shape (6,); None for the flange.
 
         Returns:
-            Joint positions, shape (..., 8, 6), in rad, in (-pi, pi]; NaN if a branch does not reach the pose. In a
-            singularity, where two branches meet, both rows are given. Joint 6 is 0 where it is free.
+            Joint positions, shape (..., 8, 6), in rad, in (-pi, pi]; NaN if a branch does not reach the pose. If two
+            branches meet in a singularity, both rows are given. Joint 6 is 0 if it can have any value.
 
         Raises:
             BadValue: If `pose` or `tcp` does not have this shape, or contains a number that is not finite.
@@ -241,8 +245,8 @@ class Arm(StrictAttributes):
             tcp: Pose of the TCP in the flange frame, shape (6,); None for the flange.
 
         Returns:
-            Joint positions, shape (n, 6), in rad, with n from 0 (out of reach) to 8. They are in (-pi, pi] unless
-            `near` is given.
+            Joint positions, shape (n, 6), in rad, with n from 0 (out of reach) to 8. The positions are in (-pi, pi]
+            unless `near` is given.
 
         Raises:
             BadValue: If an argument does not have this shape, or contains a number that is not finite.
@@ -260,7 +264,7 @@ class Arm(StrictAttributes):
     def inverse_path(self, poses: ArrayLike, near: ArrayLike, tcp: ArrayLike | None = None) -> FloatArray:
         """Return joint positions along a path of the tool. Each row is the solution closest to the previous row.
 
-        A joint may jump between two rows if the path passes through a singularity, or if a branch ends. Check the
+        A joint can jump between two rows if the path passes through a singularity, or if a branch ends. Check the
         differences between the rows before an arm follows them.
 
         Args:
@@ -286,7 +290,8 @@ class Arm(StrictAttributes):
             ways = [[] if at else rows for rows, at in zip(found_ways.tolist(), singular.tolist(), strict=True)]
         path = []
         for i, rows in enumerate(ways):
-            # A calibrated arm has no candidates: one search from the previous row costs less than all eight branches.
+            # The list is empty for a calibrated arm, because one search from the previous row takes less time than
+            # computing all eight branches.
             candidates = [row for row in rows if row[0] == row[0]]
             found: Sequence[float] | None = min(candidates, key=lambda q: distance(q, before), default=None)
             if found is None:
@@ -308,9 +313,9 @@ class Arm(StrictAttributes):
             tcp: Pose of the TCP in the flange frame, shape (6,); None for the flange.
 
         Returns:
-            Matrices, shape (..., 6, 6). The product with joint speeds in rad/s is the velocity of the TCP in m/s (three
-            rows) and the angular velocity in rad/s. The product of the transpose with a force in N and a torque in Nm
-            at the TCP is the joint torques in Nm.
+            Matrices, shape (..., 6, 6). The product with joint speeds in rad/s is the velocity of the TCP in m/s (first
+            three rows) and the angular velocity in rad/s (last three rows). The product of the transpose with a force
+            in N and a torque in Nm at the TCP gives the joint torques in Nm.
 
         Raises:
             BadValue: If `q` or `tcp` does not have this shape, or contains a number that is not finite.
@@ -335,7 +340,7 @@ class Arm(StrictAttributes):
             Velocity of the TCP in m/s, and angular velocity in rad/s, in the base frame, shape (..., 6).
 
         Raises:
-            BadValue: If an argument does not have its shape, contains a number that is not finite, or does not
+            BadValue: If an argument has the wrong shape, contains a number that is not finite, or does not
                 broadcast.
         """
         if rigid.is_single(q) and rigid.is_single(qd):
@@ -348,11 +353,11 @@ class Arm(StrictAttributes):
         return np.stack(found, axis=-1).reshape(*shape, 6)
 
     def manipulability(self, q: ArrayLike) -> FloatArray:
-        """Return the distance from a singularity (Yoshikawa): product of the singular values of the Jacobian, in m³.
+        """Return the manipulability (Yoshikawa), a measure of the distance from a singularity, in m³.
 
-        It is 0 in a singularity, and does not depend on the TCP. For a published arm, it is
-        `abs(a2 * a3 * sin(q3) * sin(q5) * r)`, where r is the distance of the origin of frame 5 from the axis of the
-        base, measured in the plane of the arm.
+        The manipulability is the product of the singular values of the Jacobian. It is 0 in a singularity, and does not
+        depend on the TCP. For a published arm, it is `abs(a2 * a3 * sin(q3) * sin(q5) * r)`, where r is the distance of
+        the origin of frame 5 from the axis of the base, measured in the plane of the arm.
 
         Args:
             q: Joint positions, shape (..., 6), in rad.
@@ -363,7 +368,7 @@ class Arm(StrictAttributes):
         Raises:
             BadValue: If `q` does not have this shape, or contains a number that is not finite.
         """
-        with np.errstate(divide="ignore", invalid="ignore"):  # numpy warns of some singular matrices; the result is 0
+        with np.errstate(divide="ignore", invalid="ignore"):  # numpy warns if a matrix is singular; the result is 0
             found: FloatArray = np.abs(np.linalg.det(self.jacobian(q)))
         return found
 
@@ -388,7 +393,8 @@ class Arm(StrictAttributes):
         distance, furthest = math.dist(wrist, (0.0, 0.0, d1)), math.hypot(abs(a2) + abs(a3) + d5, d4)
         aside = math.hypot(wrist[0], wrist[1])
         if distance > furthest:
-            # No wrist comes closer to the base than a centimetre, so 1.5 m are not meant as 1.5 mm.
+            # The wrist is never closer to the base than 1 cm. So the message does not suggest that 1.5 m was meant as
+            # 1.5 mm.
             asked = other_unit(distance, "m", 0.01, furthest)
             why = f"its wrist would be {distance:.3f} m from the shoulder; it reaches at most {furthest:.3f} m{asked}"
         elif aside < d4:
@@ -448,5 +454,5 @@ def _turned(q: Sequence[float], near: Sequence[float]) -> Angles[float]:
 
 
 def _table(found: Sequence[Angles[float] | None]) -> FloatArray:
-    """Return an array in (-pi, pi], shape (8, 6); NaN for branches that do not reach the pose."""
+    """Return the branches as an array, shape (8, 6), in (-pi, pi]; NaN for branches that do not reach the pose."""
     return np.array([[math.nan] * 6 if q is None else [wrapped(angle) for angle in q] for q in found])

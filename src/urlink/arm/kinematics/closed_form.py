@@ -1,14 +1,14 @@
 """Joint positions that put the flange of a published UR arm at a pose, in closed form.
 
-An arm has up to eight solutions for a pose, the branches: shoulder left or right, wrist flipped or not, elbow up or
-down. This is the classic geometric solution for arms whose joints 2, 3 and 4 turn about parallel axes. The position of
-the wrist determines joint 1, the orientation determines joints 5 and 6, and the triangle of the two arm links
-determines joints 2 and 3.
+An arm has up to eight solutions for a pose. These solutions are called branches: shoulder left or right, wrist flipped
+or not, elbow up or down. The solution is the classic geometric one for arms with parallel axes of joints 2, 3 and 4.
+The position of the wrist determines joint 1, the orientation determines joints 5 and 6, and the triangle of the two
+arm links determines joints 2 and 3.
 
-In the three singularities, a joint is not determined: if the wrist is on a cylinder of radius d4 about the axis of the
-base (joint 1), if joints 4 and 6 turn about the same direction (joint 6), and if the arm is stretched or folded (two
-branches meet). `solve` handles all three, one pose at a time. `solve_rows` computes many poses at once, and marks poses
-that are too close to the second singularity for its formulas.
+An arm has three singularities. In the first, the wrist is on a cylinder of radius d4 about the axis of the base, and
+joint 1 is not determined. In the second, the axes of joints 4 and 6 are parallel, and joint 6 is not determined. In the
+third, the arm is stretched or folded, and two branches meet. `solve` handles all three, one pose at a time.
+`solve_rows` computes many poses at once, and marks poses that are too close to the second singularity for its formulas.
 """
 
 from __future__ import annotations
@@ -24,17 +24,18 @@ from .geometry import Angles, Lengths
 #: Number of branches.
 BRANCHES = 8
 
-# Orientation error, in rad, that is accepted in order to have joint 6 at the wanted angle. In the wrist singularity
-# itself, it allows any angle.
+# Orientation error, in rad, that is accepted so that joint 6 can have the wanted angle. Exactly in the wrist
+# singularity, every angle is within this error.
 SLACK = 1e-13
-# Relative distance beyond the edge of the reach at which a pose still counts as on the edge, because of rounding.
+# A pose that is beyond the edge of the reach by at most this relative distance counts as on the edge, because of
+# rounding errors.
 _EDGE = 1e-13
-# The same distance with `is_loose`, and the largest cosine of joint 3 then. A calibrated arm differs from the published
-# one by some mm and mrad, a hundredth of its reach.
+# With `is_loose`: the relative distance beyond the edge, and the largest cosine of joint 3. A calibrated arm differs
+# from the published arm by a few mm and mrad, which is a hundredth of its reach.
 _LOOSE_EDGE = 0.05
 _ALMOST_STRAIGHT = 0.999
-# Sine of joint 5 below which rows are left to `solve`. At 1e-4, joint 6 is known to 1e-12 rad. This error is too small
-# to change whether the arm reaches the pose.
+# `solve_rows` does not solve rows with a sine of joint 5 below this; they need `solve`. At 1e-4, joint 6 is known to
+# 1e-12 rad. This error is too small to change whether the arm reaches the pose.
 SINGULAR = 1e-4
 
 
@@ -46,13 +47,15 @@ def solve(
     Args:
         lengths: Lengths of the arm, in m.
         target: Pose of the flange in the base frame.
-        free_q6: Joint 6 where it is free. If the wrist is out of reach with it, the closest angle in reach is used.
-        slack: Orientation error, in rad, that is accepted for this joint 6.
-        is_loose: Whether to return branches that are slightly out of reach, and never a quite straight elbow. Such
-            branches are seeds for the search of a calibrated arm, whose reach differs slightly.
+        free_q6: Angle of joint 6, in rad, for poses in the wrist singularity. If the wrist is out of reach with this
+            angle, the closest angle within reach is used.
+        slack: Orientation error, in rad, that is accepted so that joint 6 can have this angle.
+        is_loose: Whether to return also branches that are slightly out of reach. An elbow that is almost straight is
+            then bent a little. Such branches are seeds of the search for a calibrated arm, because its reach differs
+            slightly.
 
     Returns:
-        Branches in the order of `Arm.branches`. In a singularity, where two branches meet, both are given.
+        Branches in the order of `Arm.branches`. If two branches meet in a singularity, both are given.
     """
     d1, a2, a3, d4, d5, _ = lengths
     r00, r01, _, r10, r11, _, r20, r21, _, _, _, _ = target
@@ -76,7 +79,8 @@ def solve(
             # z4 = -y5 = -(s6 x6 + c6 y6) lies in the plane of the arm.
             zx, zy, zz = -(s6 * r00 + c6 * r01), -(s6 * r10 + c6 * r11), -(s6 * r20 + c6 * r21)
             along, across = zx * c1 + zy * s1, zz
-            # Joint 6 also moves the origin of frame 4: turn it into the reach of the arm, within the slack.
+            # Joint 6 also moves the origin of frame 4. Turn joint 6, within the slack, so that this origin is within
+            # reach of the arm.
             bearing = math.atan2(across, along)
             if sine < SINGULAR:
                 shift = _into_reach(bearing, out5, up5, d5, abs(a2) + abs(a3), abs(abs(a2) - abs(a3)))
@@ -105,8 +109,8 @@ def solve_rows(lengths: Lengths, targets: Rigid[FloatArray], is_loose: bool) -> 
 
     Returns:
         Joint positions, shape (8, 6, n), in rad, not wrapped, in the order of `solve`; NaN if a branch does not reach
-        the pose. Also the sine of joint 5, shape (8, n). If it is less than `SINGULAR`, the joint positions are not
-        valid.
+        the pose. Also the sine of joint 5, shape (8, n). If this sine is less than `SINGULAR`, the joint positions are
+        not valid.
     """
     d1, a2, a3, d4, d5, _ = lengths
     r00, r01, _, r10, r11, _, r20, r21, _, _, _, _ = targets
@@ -150,8 +154,8 @@ def wrist_place(lengths: Lengths, target: Rigid[Number]) -> tuple[Number, Number
 def _shoulder(f: MathFunctions[Number], d4: float, x5: Number, y5: Number, apart: float) -> tuple[Number, Number]:
     """Return both solutions of joint 1. The origin of frame 5 is d4 off the plane of the arm, towards (s1, -c1, 0).
 
-    The solutions meet where this origin is d4 from the axis of the base. There, `apart` keeps them separate by about
-    2 * `apart` rad.
+    The two solutions meet if this origin is at the distance d4 from the axis of the base. Then `apart` keeps the
+    solutions separate by about 2 * `apart` rad.
     """
     bearing = f.atan2(y5, x5)
     lean = f.atan2(d4, f.sqrt(f.positive(x5 * x5 + y5 * y5 - d4 * d4) + (apart * d4) ** 2))
@@ -161,10 +165,11 @@ def _shoulder(f: MathFunctions[Number], d4: float, x5: Number, y5: Number, apart
 def _plane(
     f: MathFunctions[Number], d1: float, target: Rigid[Number], q1: Number, x5: Number, y5: Number, z5: Number
 ) -> tuple[Number, Number, Number, Number, Number, Number, Number, Number]:
-    """Return sine and cosine of joint 1, frame 5 in the plane of the arm, from the shoulder, and normal in frame 6.
+    """Return sine and cosine of joint 1, the origin of frame 5 (two numbers), and the normal of the plane of the arm.
 
-    The normal of the plane is (c6 s5, -s6 s5, c5). The last number is the length of its first two components. It is the
-    sine of joint 5 to full precision; an arc cosine of c5 would lose half of the digits.
+    The origin is in the plane of the arm, relative to the shoulder. The normal is (c6 s5, -s6 s5, c5) in frame 6. The
+    last returned number is the length of the first two components of the normal. This length is the sine of joint 5 to
+    full precision. An arc cosine of c5 would lose half of the digits.
     """
     r00, r01, r02, r10, r11, r12, _, _, _, _, _, _ = target
     s1, c1 = f.sin(q1), f.cos(q1)
@@ -175,7 +180,7 @@ def _plane(
 def _elbow(
     f: MathFunctions[Number], a2: float, a3: float, out: Number, up: Number, c3: Number
 ) -> tuple[tuple[Number, Number], tuple[Number, Number]]:
-    """Return both branches of joints 2 and 3: two links that reach from the shoulder to the origin of frame 4."""
+    """Return both branches of joints 2 and 3. The arm links reach from the shoulder to the origin of frame 4."""
     s3 = f.sqrt((1.0 - c3) * (1.0 + c3))
     q3 = f.atan2(s3, c3)
     bearing = f.atan2(up, out)
@@ -187,7 +192,8 @@ def _elbow(
 def _into_reach(bearing: float, out: float, up: float, length: float, furthest: float, closest: float) -> float:
     """Return the rotation, in rad, of a link that ends at (out, up) so that its other end is within reach of (0, 0).
 
-    Zero if it is already within reach. If no rotation moves it there, the rotation that moves it closest.
+    The result is zero if the other end is already within reach. If no rotation moves it within reach, the result is the
+    rotation that moves it closest.
     """
     distance = math.hypot(out, up)
     lever = 2.0 * length * distance

@@ -4,16 +4,17 @@ Frames follow the vendor's Denavit-Hartenberg (DH) table: frame 0 is the base wi
 i, and frame 6 is the tool flange. Joint i turns about the z axis of frame i - 1.
 
 **A calibrated arm** sends its own DH table in the kinematics sub-package of the primary interface (`KinematicsInfo`).
-The numbers are whole parameters rather than deviations from the published ones. Those of an uncalibrated controller
-equal the published table (captures of a CB2 UR5 and a simulated UR5e). Users report a calibrated UR5 with d1 = 0.08888
-m instead of the published 0.08916 m (issue 457 of the vendor's ROS driver).
+The numbers are complete parameters rather than deviations from the published parameters. The table of an uncalibrated
+controller equals the published table (captures of a CB2 UR5 and a simulated UR5e). Users report a calibrated UR5 with
+d1 = 0.08888 m instead of the published 0.08916 m (issue 457 of the vendor's ROS driver).
 
-Joints 2, 3 and 4 turn about axes that are parallel within some mrad. The common normal of two such axes, at which DH
-puts the frame, can be anywhere. In the same report, d2 to d4 are 574, -507 and -67 m, a2 is -0.057 m and theta2 is
--1.4 rad, for an arm that differs by 1 mm from the published one. Therefore frames 2 and 3 are moved along their axis
-and turned about it to their position in the published table. The parameters of Hayati and Mirmirani ("Improving the
-absolute positioning accuracy of robot manipulators", Journal of Robotic Systems 2, 1985) describe this with one more
-angle, `beta`. It does not change the positions and orientations of the links, and the arithmetic keeps its digits.
+Joints 2, 3 and 4 turn about axes that are parallel within a few mrad. The DH convention puts the frame at the common
+normal of two axes. If the axes are almost parallel, this normal can be anywhere along them. In the same report, d2 to
+d4 are 574, -507 and -67 m, a2 is -0.057 m and theta2 is -1.4 rad, although the arm differs by only 1 mm from the
+published one. Therefore frames 2 and 3 are moved along their joint axis and turned about it, to their position in the
+published table. The parameters of Hayati and Mirmirani ("Improving the absolute positioning accuracy of robot
+manipulators", Journal of Robotic Systems 2, 1985) describe the moved frames with one more angle, `beta`. Moving the
+frames does not change the positions and orientations of the links, and the arithmetic does not lose digits.
 """
 
 from __future__ import annotations
@@ -39,7 +40,8 @@ Lengths = tuple[float, float, float, float, float, float]
 #: Six joint positions, in rad.
 Angles = tuple[Number, Number, Number, Number, Number, Number]
 
-# Controllers that are not calibrated send the published table, with nine decimals, in m and rad.
+# Maximum difference of an uncalibrated table from the published table, in m and rad. An uncalibrated controller sends
+# the published table with nine decimals.
 _UNCALIBRATED = 1e-8
 # Maximum difference of a calibration from the published table. Observed calibrations are within 2 mm and 20 mrad.
 _FAR = 0.03  # m
@@ -73,7 +75,7 @@ class DenavitHartenberg(Protocol):
 
 
 class DhTable(NamedTuple):
-    """DH table with numbers from another source, such as a file. It is a `DenavitHartenberg`.
+    """DH table with numbers from another source, such as a file; implements `DenavitHartenberg`.
 
     Attributes:
         dh_theta: Joint offsets, in rad.
@@ -123,8 +125,10 @@ class Geometry:
 
     Attributes:
         links: Six links.
-        is_nominal: Whether it is the published geometry. Only then the closed forms are valid.
-        lengths: Lengths in m. For a calibrated arm, those of the closest arm whose link twists are right angles.
+        is_nominal: Whether the geometry is the published one. The closed forms are valid only for the published
+            geometry.
+        lengths: Lengths in m. For a calibrated arm, they are the lengths of a similar arm with the published link
+            twists.
         offsets: Offsets of the six joints, in rad; all zero for a published arm.
         rows: Offset, a, d, cosine and sine of alpha, cosine and sine of beta of each link, for `chain`.
     """
@@ -144,13 +148,16 @@ class Geometry:
 
     @cached_property
     def to_wrist(self) -> Geometry:
-        """Arm up to the origin of frame 5, a point on the axis of joint 6, which turns only its orientation."""
+        """Arm up to the origin of frame 5.
+
+        This point is on the axis of joint 6, so joint 6 changes only its orientation.
+        """
         *links, last = self.links
         return replace(self, links=(*links, ArmLink(last.offset, 0.0, 0.0, 0.0, 0.0)))
 
     @cached_property
     def wrist_in_flange(self) -> Rigid[float]:
-        """End of `to_wrist` in the flange frame."""
+        """Last frame of `to_wrist`, as a transform in the flange frame."""
         last = self.links[5]
         ca, sa, _, _ = last.turns
         return invert((1.0, 0.0, 0.0, 0.0, ca, -sa, 0.0, sa, ca, last.a, 0.0, last.d))
@@ -164,18 +171,18 @@ def nominal(model: Model) -> Geometry:
 
 
 def calibrated(model: Model, table: DenavitHartenberg) -> Geometry:
-    """Return the geometry of an arm's own DH table, or `nominal` if it is the published table.
+    """Return the geometry for the DH table of an individual arm, or `nominal` if the table is the published one.
 
     Raises:
         BadValue: If the values are not four times six finite numbers, or do not belong to this model. The message names
-            the link, and both values.
+            the link, its value, and the published value.
     """
     names = ("dh_theta", "dh_a", "dh_d", "dh_alpha")
     given = np.stack([six(getattr(table, name), name) for name in names])
     if np.abs(given - [getattr(model, name) for name in names]).max() < _UNCALIBRATED:
         return nominal(model)
     links: list[ArmLink] = []
-    # Translation of the previous frame along its z axis, in m, and rotation about it, in rad.
+    # Translation of the previous frame along its z axis, in m, and rotation about this axis, in rad.
     along, about = 0.0, 0.0
     for i, (theta, a, d, alpha) in enumerate(given.T.tolist()):
         theta, d = theta - about, d - along
@@ -183,10 +190,11 @@ def calibrated(model: Model, table: DenavitHartenberg) -> Geometry:
             links.append(ArmLink(math.remainder(theta, math.tau), a, d, alpha, 0.0))
             along = about = 0.0
             continue
-        # Distance along the next axis to the point that the link reaches without an offset along its own axis.
+        # Distance along the next axis to the point that the link reaches with a link offset of 0.
         along = -d / math.cos(alpha)
         x, y = a, -along * math.sin(alpha)
-        # The published link points along -x. Its frame was turned by Rz(turn) for this, which is undone at its end.
+        # The published link points along -x. Turn the frame of the link by Rz(turn), so that this link also points
+        # along -x. Undo the rotation at the end.
         turn = math.atan2(-y, -x)
         alpha, beta, about = _hayati(-turn, alpha)
         links.append(ArmLink(math.remainder(theta + turn, math.tau), -math.hypot(x, y), 0.0, alpha, beta))
@@ -219,7 +227,7 @@ def _check_close(model: Model, published: Geometry, found: Geometry) -> None:
 
 
 def flange(lengths: Lengths, f: MathFunctions[Number], q: Angles[Number]) -> Rigid[Number]:
-    """Return the flange of a published arm in the base frame.
+    """Return the frame of the flange of a published arm, in the base frame.
 
     The product of the six DH matrices has a short form, because joints 2, 3 and 4 turn about parallel axes.
     """
@@ -271,7 +279,8 @@ def chain(geometry: Geometry, f: MathFunctions[Number], q: Angles[Number]) -> li
         x0, x1, x2 = r00 * c + r01 * s, r10 * c + r11 * s, r20 * c + r21 * s
         y0, y1, y2 = r01 * c - r00 * s, r11 * c - r10 * s, r21 * c - r20 * s
         z0, z1, z2 = r02, r12, r22
-        # Each link lacks one or two of the four parameters, and each multiplication costs time with a thousand rows.
+        # In each link, one or two of the four parameters are zero. Skip them, because each multiplication with a
+        # thousand rows takes time.
         if a:
             px, py, pz = px + a * x0, py + a * x1, pz + a * x2
         if d:
@@ -320,10 +329,11 @@ def velocity(
     qd: Angles[Number],
     point: tuple[Number, Number, Number],
 ) -> Six[Number]:
-    """Return the Jacobian of a point times the joint speeds, at a tenth of the cost of the Jacobian.
+    """Return the Jacobian of a point times the joint speeds, in a tenth of the time that the Jacobian takes.
 
-    The simulator needs it twice per cycle. Joints 2, 3 and 4 of a published arm turn about parallel axes, and the
-    twists of its links are right angles. Therefore all six axes, and a point on each, have short formulas.
+    The simulator needs this product twice per cycle. Joints 2, 3 and 4 of a published arm turn about parallel axes, and
+    all link twists are 0 or ±90 degrees. Therefore there are short formulas for all six axes, and for a point on each
+    axis.
 
     Args:
         geometry: Geometry of the arm.
@@ -367,7 +377,7 @@ def _published(
     # Axes: joint 1 is z, joints 2 to 4 are (s1, -c1, 0), then joint 5 and joint 6.
     ux, uy, uz = c1 * s234, s1 * s234, -c234
     wx, wy, wz = c5 * s1 - s5 * c1 * c234, -c5 * c1 - s5 * s1 * c234, -s5 * s234
-    # A point on each axis: the base, the shoulder, the elbow, wrist 1; the others follow along the axes.
+    # A point on each axis: the base, the shoulder, the elbow and wrist 1. The other points follow along the axes.
     out2, up2 = a2 * cos(q[1]), d1 + a2 * sin(q[1])
     out3, up3 = out2 + a3 * cos(q23), up2 + a3 * sin(q23)
     p4x, p4y, p4z = out3 * c1 + d4 * s1, out3 * s1 - d4 * c1, up3

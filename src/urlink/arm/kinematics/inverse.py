@@ -1,10 +1,10 @@
-"""All branches of the solution and the closest one, for published and calibrated arms, for one pose or many.
+"""Inverse kinematics of published and calibrated arms: all branches or the closest one, for one pose or many.
 
 A published arm is solved in closed form. For a calibrated arm, each branch of the closed form is the seed of a search.
-A calibration tilts the axes by a few mrad. At such a distance from a singularity, branches appear, disappear and swap:
-a stretched arm reaches 0.1 mm further or less far than published, or the axes of joints 4 and 6 cannot be made parallel
-at all. Therefore the search begins at the given joint positions if these almost reach the pose, and many seeds are
-tried before a pose counts as out of reach.
+A calibration tilts the axes by a few mrad. If an arm is within a few mrad of a singularity, branches appear, disappear
+or swap. For example, a stretched arm reaches 0.1 mm further or less far than the published arm, or the axes of joints 4
+and 6 cannot become parallel at all. Therefore the search begins at the given joint positions if they almost reach the
+pose. Many seeds are tried before a pose counts as out of reach.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from .closed_form import BRANCHES, SINGULAR, SLACK, solve, solve_rows
 from .geometry import Angles, Geometry, angles
 from .refinement import error_at, refine, refine_anywhere, refine_rows
 
-# `near` is a seed if it misses the pose by less than `_ALMOST`, in m and rad. A solution further away from `near` than
-# `_CONTINUES`, in rad, does not count as its continuation.
+# `near` is a seed if it misses the pose by less than `_ALMOST`, in m and rad. A solution that is further away from
+# `near` than `_CONTINUES`, in rad, does not count as a continuation of the motion.
 _ALMOST = 0.05
 _CONTINUES = 0.3
-# Settings of the last attempt, `_search`. Joint 6 counts as free if an orientation error of `_SLACK`, in rad, is
-# enough; this is about the tilt of the axes. Then `_TURNS` values of joint 6 are tried. Seeds that are within `_TRIED`,
-# in rad, of an earlier one are skipped.
+# Settings of the last attempt, `_search`. This function tries `_TURNS` values of joint 6. A seed may use the tried
+# value if the orientation error is then below `_SLACK`, in rad. `_SLACK` approximately equals the tilt of the axes. A
+# seed is skipped if it is within `_TRIED`, in rad, of an earlier seed.
 _SLACK = 0.03
 _TURNS = 16
 _TRIED = 1e-3
@@ -41,7 +41,7 @@ def distance(q: Sequence[float], other: Sequence[float]) -> float:
     """Return the largest joint motion between two joint positions, in rad, modulo whole turns."""
     a1, a2, a3, a4, a5, a6 = q
     b1, b2, b3, b4, b5, b6 = other
-    # Six calls take less than half the time of a loop, and this runs eight times for each pose.
+    # Six calls take less than half the time of a loop, and this function runs eight times for each pose.
     return max(
         abs(_remainder(a1 - b1, _TURN)),
         abs(_remainder(a2 - b2, _TURN)),
@@ -66,7 +66,7 @@ def branches(geometry: Geometry, target: Rigid[float], free_q6: float = 0.0) -> 
 
 
 def closest(geometry: Geometry, target: Rigid[float], near: Angles[float]) -> Angles[float] | None:
-    """Return the branch that is closest to `near`, in rad, not wrapped; None if there is none."""
+    """Return the branch that is closest to `near`, in rad, not wrapped; None if the pose is out of reach."""
     if geometry.is_nominal:
         solutions = [q for q in solve(geometry.lengths, target, near[5]) if q is not None]
         return min(solutions, key=lambda q: distance(q, near), default=None)
@@ -81,7 +81,7 @@ def closest(geometry: Geometry, target: Rigid[float], near: Angles[float]) -> An
 
 
 def _search(geometry: Geometry, target: Rigid[float], near: Angles[float]) -> Angles[float] | None:
-    """Return the first solution that any of many seeds leads to, for a singularity or the edge of the reach."""
+    """Try many seeds for a pose in a singularity or at the edge of the reach, and return the first solution found."""
     tried: list[Angles[float]] = []
     for turn in range(_TURNS):
         seeds = _seeds(geometry, target, near[5] + turn * math.tau / _TURNS, _SLACK)
@@ -113,7 +113,7 @@ def _less(q: Angles[float], offsets: Angles[float]) -> Angles[float]:
 def closest_of_rows(geometry: Geometry, targets: Rigid[FloatArray], nears: FloatArray) -> FloatArray:
     """Apply `closest` to n transforms and joint positions, shape (n, 6), in rad; NaN if there is no solution.
 
-    Rows that need more than the common arithmetic are left to `closest`.
+    Rows that the array formulas cannot solve are passed to `closest`, one by one.
     """
     rows = np.full_like(nears, np.nan)
     again = np.zeros(len(nears), dtype=bool)
@@ -143,15 +143,16 @@ def closest_of_rows(geometry: Geometry, targets: Rigid[FloatArray], nears: Float
 def _closest_branches(
     geometry: Geometry, targets: Rigid[FloatArray], nears: FloatArray
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Return the closest branch of the closed form, (6, n) rad, and whether another one might be closer, (n,)."""
+    """Return the closest branch of the closed form, (6, n) in rad, and whether another one might be closer, (n,)."""
     found, sines = solve_rows(geometry.lengths, targets, is_loose=not geometry.is_nominal)
     found -= np.array(geometry.offsets)[:, np.newaxis]
     turns = np.abs(around(found - nears.T))
     moves = turns.max(axis=1)
     moves[np.isnan(moves)] = np.inf
     chosen, least = moves.argmin(axis=0), moves.min(axis=0)
-    # Where joint 6 is free, joints 2 to 6 depend on its choice, so only joint 1 gives a lower bound of the distance.
-    # Such a branch may reach the pose although it is out of reach with another joint 6.
+    # If joint 6 can have any value, joints 2 to 6 depend on this value, so only joint 1 gives a lower bound of the
+    # distance. Such a branch might reach the pose with one value of joint 6, although it does not reach the pose with
+    # another.
     unsure = np.asarray(((sines < SINGULAR) & ~(turns[:, 0] > least)).any(axis=0))
     if not geometry.is_nominal:
         unsure |= np.isinf(least) & (sines < _SLACK).any(axis=0)

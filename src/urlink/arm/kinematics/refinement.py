@@ -1,12 +1,13 @@
 """Search for the joint positions of a calibrated arm, from seeds that almost put its flange at a pose.
 
-The closed form is exact only for published arms. For a calibrated arm, its error is 0.1 mm to 1 mm. The joint positions
-of the previous cycle have an error from the motion since then. Newton's method converges from there to full precision:
-each step measures the error of the wrist, and moves the joints by the inverse of the Jacobian times the error. The
-remaining error is about the square of the previous one, so three steps are enough from 0.01 rad. The inverse is
-computed from the axes of the joints, without a matrix, and costs less than the forward kinematics.
+A seed is a solution of the closed form, or the joint positions of the previous cycle. The closed form is exact only for
+published arms. For a calibrated arm, its error is 0.1 mm to 1 mm. The joint positions of the previous cycle have an
+error because the arm has moved since then. Newton's method converges from a seed to full precision: each step measures
+the error of the wrist, and moves the joints by the inverse of the Jacobian times the error. The error after a step is
+about the square of the error before it, so three steps are enough if the seed has an error of 0.01 rad. The inverse is
+computed from the axes of the joints, without a matrix, in less time than the forward kinematics.
 
-Close to a singularity, this method does not converge. Then `refine_anywhere` is used, which is slower.
+Close to a singularity, this method does not converge. In this case, the slower function `refine_anywhere` is used.
 """
 
 from __future__ import annotations
@@ -22,16 +23,18 @@ from .geometry import Angles, Geometry, angles, chain, jacobian
 
 #: Error in m and rad below which joint positions are a solution.
 CONVERGED = 5e-14
-# Bound of the second derivatives of the wrist's position and orientation: the error in m after a step of 1 rad. If it
-# is ten times too small, the error is ten times `CONVERGED`, which is still less than 1e-12.
+# Bound of the second derivatives of the wrist's position and orientation: the error in m after a step of 1 rad. If
+# this bound is ten times too small, the error is ten times `CONVERGED`, which is still less than 1e-12.
 _CURVATURE = 2.0
-# A step shorter than this, in rad, is the last one, because the error after it does not have to be measured.
+# A step that is shorter than this, in rad, is the last one: the error after such a step is always below `CONVERGED`.
 _LAST = math.sqrt(CONVERGED / _CURVATURE)
-# Maximum number of steps, and longest step in rad, of Newton's method. Beyond them, `refine_anywhere` is used.
+# Maximum number of steps of Newton's method, and its longest step in rad. Beyond these limits, `refine_anywhere` is
+# used.
 _STEPS = 8
 _TOO_LONG = 0.5
 
-# Up to this number of rows, one by one is faster: a step of rows takes some hundred calls into numpy for any number.
+# Up to this number of rows, solving them one by one is faster, because a step with arrays makes about 500 calls into
+# numpy for any number of rows.
 _FEW = 16
 
 # Settings of `refine_anywhere`: maximum number of steps; largest step of a joint, in rad; fraction of a step at which
@@ -125,7 +128,7 @@ def refine_rows(
 
 
 def _error(flange: Rigid[Number], target: Rigid[Number]) -> Six[Number]:
-    """Return the error of the flange in the base frame: distance in m, and rotation axis times sine of the angle."""
+    """Return the error of the flange in the base frame: distance in m, and rotation axis times sine of its angle."""
     a00, a01, a02, a10, a11, a12, a20, a21, a22, ax, ay, az = flange
     b00, b01, b02, b10, b11, b12, b20, b21, b22, bx, by, bz = target
     # Half the sum of the cross products of the axes of the two frames.
@@ -140,7 +143,7 @@ def _error(flange: Rigid[Number], target: Rigid[Number]) -> Six[Number]:
 
 
 def _cosine(flange: Rigid[Number], target: Rigid[Number]) -> Number:
-    """Return the cosine of the angle between two orientations; the sine alone is 0 for half a turn, too."""
+    """Return the cosine of the angle between two orientations, because the sine alone is also 0 for half a turn."""
     a00, a01, a02, a10, a11, a12, a20, a21, a22, _, _, _ = flange
     b00, b01, b02, b10, b11, b12, b20, b21, b22, _, _, _ = target
     trace = a00 * b00 + a01 * b01 + a02 * b02 + a10 * b10 + a11 * b11 + a12 * b12 + a20 * b20 + a21 * b21 + a22 * b22
@@ -156,11 +159,12 @@ def _moved(q: Angles[Number], step: Six[Number]) -> Angles[Number]:
 def _step(frames: list[Rigid[Number]], error: Six[Number]) -> Six[Number]:
     """Return the joint motion that moves the wrist by `error`: the inverse of its Jacobian times `error`.
 
-    Joint 6 does not move the wrist, and joint 5 hardly moves it, so these two are eliminated first. They perform the
-    rotation that joints 1 to 4 leave. Joints 1 to 4 have to move the wrist, and to turn it about the direction m, about
-    which joints 5 and 6 cannot turn it. The axes of joints 2 to 4 are almost parallel. Therefore the unknowns are joint
-    2 with joint 4 turning back, joint 3 with joint 4 turning back, and the sum of all three. The remaining system is
-    three by three, and is solved by Cramer's rule. Each of the three divisors is zero in one of the singularities.
+    Joint 6 does not move the wrist, and joint 5 hardly moves it, so these two are eliminated first. Joints 5 and 6
+    perform the rotation that remains after the motion of joints 1 to 4. Joints 1 to 4 have to move the wrist, and to
+    turn it about the direction m, because joints 5 and 6 cannot turn it about m. The axes of joints 2 to 4 are almost
+    parallel. Therefore the unknowns are the motion of joint 2 with joint 4 turning back by the same angle, the motion
+    of joint 3 with joint 4 turning back, and the sum of all three joints. The remaining system is three by three, and
+    is solved by Cramer's rule. Each of the three divisors is zero in one of the singularities.
 
     Raises:
         ZeroDivisionError: If the arm is in a singularity (floats only).
@@ -219,13 +223,13 @@ def _step(frames: list[Rigid[Number]], error: Six[Number]) -> Six[Number]:
 
 
 def refine_anywhere(geometry: Geometry, seed: Angles[float], target: Rigid[float]) -> Angles[float] | None:
-    """Return joint positions that put the flange at `target`, even in a singularity; None if `seed` leads to none.
+    """Return joint positions that put the flange at `target`, even in a singularity; None if the search fails.
 
-    It uses the Levenberg-Marquardt method: least squares with a penalty on long steps, which grows while steps do not
-    help. Close to a singular wrist, the minimum is at the end of a narrow curved valley, in which joints 4 and 6 turn
-    against each other and the others follow. Therefore each step is corrected by the second derivative along it
-    (Transtrum and Sethna, "Improvements to the Levenberg-Marquardt algorithm for nonlinear least-squares minimization",
-    2012).
+    The search starts at `seed`, and uses the Levenberg-Marquardt method: least squares with a penalty on long steps.
+    The penalty grows while steps do not reduce the error. Close to a singular wrist, the minimum is at the end of a
+    narrow curved valley, in which joints 4 and 6 turn against each other and the others follow. Therefore each step is
+    corrected by the second derivative along it (Transtrum and Sethna, "Improvements to the Levenberg-Marquardt
+    algorithm for nonlinear least-squares minimization", 2012).
     """
     q = np.array(seed)
     error, matrix = _linearised(geometry, q, target)
@@ -259,14 +263,14 @@ def refine_anywhere(geometry: Geometry, seed: Angles[float], target: Rigid[float
 def error_at(
     geometry: Geometry, q: Angles[Number], f: MathFunctions[Number], target: Rigid[Number]
 ) -> tuple[Number, ...]:
-    """Return the error of the flange at `q`: distance in m, axis times sine of the angle, and 1 - its cosine."""
+    """Return the error of the flange at `q`: distance in m, axis times sine of the angle, and 1 - cosine."""
     frames = chain(geometry, f, q)
     vx, vy, vz, wx, wy, wz = _error(frames[5], target)
     return vx, vy, vz, wx, wy, wz, 1.0 - _cosine(frames[5], target)
 
 
 def _linearised(geometry: Geometry, q: FloatArray, target: Rigid[float]) -> tuple[FloatArray, FloatArray]:
-    """Return the error of the flange, in m and rad, and its Jacobian."""
+    """Return the error of the flange, in m and rad, and the Jacobian of this error."""
     frames = chain(geometry, FLOATS, angles(q.tolist()))
     flange = frames[5]
     error = np.array(_error(flange, target))

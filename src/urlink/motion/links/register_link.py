@@ -1,11 +1,11 @@
-"""Input registers of the robot as the link to a program, which needs no connection to this computer.
+"""Link to a program over input registers of the robot. The program needs no connection to this computer.
 
-The messages are the same as those of a reverse link, with one register for each number. RTDE transmits them to the
-program, and applies a package as a whole in one cycle.
+The messages are the same as those of a reverse link, with one register for each number. RTDE transmits the registers to
+the robot, and all values of one RTDE package take effect in the same cycle.
 
-A program that buffers points reports in output registers, which RTDE transmits in each cycle. RTDE is designed to
-transmit the registers of one cycle together. It is assumed that RTDE never transmits the registers half-way while a
-program writes several of them in one cycle. `link="reverse"` does not need this assumption.
+A program that buffers points writes its reports to output registers, which RTDE transmits in each cycle. RTDE is
+designed to transmit the registers of one cycle together. Assumption: if a program writes several registers in one
+cycle, RTDE never transmits only some of the new values. `link="reverse"` does not need this assumption.
 """
 
 from __future__ import annotations
@@ -26,8 +26,9 @@ from ...script.links import TOKENS, InputRegisters
 from .messages import LARGEST, MESSAGE_SIZE, read_message
 
 #: Number of the first float register and of the first integer register for set-points. The last twelve float registers
-#: and the last four integer registers are used. So other registers from 24 upwards are left to users, and registers
-#: below 24 to fieldbuses. They need firmware 3.9, 5.3 or later.
+#: and the last four integer registers are used. So the other registers with numbers of 24 or more remain free for
+#: users, and the registers below 24 remain free for fieldbuses. The registers with numbers of 24 or more need firmware
+#: 3.9 or later on CB3, or 5.3 or later on e-Series.
 _FIRST_FLOAT, _FIRST_INTEGER = 36, 44
 #: RTDE inputs that a link for set-points writes: positions and speeds, the date and the number of the message, the
 #: command, and the token.
@@ -35,21 +36,22 @@ SETPOINT_INPUTS = tuple(
     [f"input_double_register_{_FIRST_FLOAT + i}" for i in range(12)]
     + [f"input_int_register_{_FIRST_INTEGER + i}" for i in range(4)]
 )
-#: Registers for points. They are below the others, which another motion of this robot may have claimed. They begin at
-#: 24, but integer inputs 24 to 29 are left to users. So are outputs below 30 and above 36. In output 47, a program
-#: finds its start permission.
+#: Numbers of the first registers for points: float input, integer input and integer output. The registers are below
+#: those for set-points, because another motion of this robot may have claimed the registers for set-points. Integer
+#: inputs 24 to 29 are left to users, and so are integer outputs below 30 and above 36. The exception is output 47,
+#: which contains the start permission of a program by default.
 _POINT_FLOAT, _POINT_INTEGER, _POINT_OUTPUT = 24, 30, 30
-#: RTDE inputs that a link for points writes: the whole numbers of a message, its date, its number, the token, and the
-#: rates.
+#: RTDE inputs that a link for points writes: the integers of a message, the date and the number of the message, the
+#: token, and the speeds and accelerations.
 POINT_INPUTS = tuple(
     [f"input_int_register_{_POINT_INTEGER + i}" for i in range(14)]
     + [f"input_double_register_{_POINT_FLOAT + i}" for i in range(12)]
 )
-#: RTDE outputs with a report, and the token of the program that reports.
+#: RTDE outputs that contain a report, and the token of the program that wrote this report.
 POINT_OUTPUTS = tuple(f"output_int_register_{_POINT_OUTPUT + i}" for i in range(REPORTED + 1))
-#: Longest time in s without outputs. After it, the state of the program is unknown.
+#: Longest time in s without outputs. After this time, the state of the program is unknown.
 _SILENCE = 1.0
-#: Number of whole numbers in the message of a point: command, epoch, number, length, degree, and six positions.
+#: Number of integers in the message of a point: command, epoch, number, length, degree, and six positions.
 _WHOLE = 11
 _MESSAGE, _REPORT = struct.Struct(f">{MESSAGE + 1}i"), struct.Struct(f">{REPORTED}i")
 
@@ -65,13 +67,15 @@ L = TypeVar("L")
 
 
 class RegisterPort(Generic[L]):
-    """Opens register links. The registers are claimed for the first link, and released when the robot is closed.
+    """Factory of register links.
+
+    The registers are claimed for the first link, and released when the robot is closed.
 
     Args:
         claim: Function that claims RTDE inputs by their names; may raise `LinkError`.
-        timeout: Longest time to wait for a claim by another thread, in seconds.
+        timeout: Longest time to wait while another thread claims the registers, in s.
         names: Names of the inputs.
-        make: Function that makes a link of the claim.
+        make: Function that makes a link from the claimed inputs.
     """
 
     def __init__(
@@ -87,14 +91,17 @@ class RegisterPort(Generic[L]):
         self._inputs: InputClaim | None = None
 
     def open(self) -> L:
-        """Return the link of the next program. This may need a connection.
+        """Return the link for the next program.
+
+        The first call claims the registers, and may have to connect to RTDE.
 
         Raises:
-            InputInUse: If another client, or a fieldbus, holds one of the registers.
+            InputInUse: If another client or a fieldbus has reserved one of the registers.
             LinkError: If RTDE cannot be used.
         """
-        # A controller assigns a register to one connection, so only to the first of two threads of this robot. Use
-        # `alone()`, because a signal handler may come here while the main thread, which it interrupts, claims them.
+        # A controller assigns a register to only one connection. If two threads claimed the registers at the same time,
+        # the second claim would fail. Use `alone()`, because a signal handler may get here while it interrupts the main
+        # thread in the middle of the claim.
         otherwise = f"the registers of a link are still being claimed after {self._timeout:g} s"
         with alone(self._claiming, self._timeout, otherwise):
             if self._inputs is None:
@@ -103,22 +110,23 @@ class RegisterPort(Generic[L]):
 
 
 def _random_token() -> int:
-    """Return a token that differs from the content of a register that was never written, which is 0."""
+    """Return a random token other than 0, because a register that was never written contains 0."""
     return random.SystemRandom().randrange(1, TOKENS)
 
 
 class ProgramRegisters:
-    """Registers of one program.
+    """Link to one program over registers.
 
-    A program reads no message before its token is in its register. The token is written when the program has begun, and
-    only while its motion runs. So a program that the controller starts too late finds another token, and ends.
+    A program reads no messages until its token is in the token register. urlink writes the token after the program has
+    begun, and only while its motion is running. So if the controller starts a program too late, this program finds
+    another token, and ends.
 
     Args:
         inputs: Claimed inputs.
-        names: Names of all inputs, in their order of writing.
+        names: Names of all inputs, in the order of the written values.
 
     Attributes:
-        is_up: Whether the program has begun, so that messages are written.
+        is_up: Whether the program has begun and the link is not closed, so that messages are written.
     """
 
     def __init__(self, inputs: InputClaim, names: Sequence[str]) -> None:
@@ -128,12 +136,12 @@ class ProgramRegisters:
         self._is_closed = False
 
     def poll(self, has_begun: bool) -> bool:
-        """Check whether the link is up, which it is when the program has begun."""
+        """Check whether the link is up. It is up after the program has begun."""
         self.is_up = has_begun and not self._is_closed
         return self.is_up
 
     def received(self) -> bytes:
-        """Return no bytes, because a program with registers answers only by `textmsg`."""
+        """Return no bytes, because this program cannot send any; it reports only with `textmsg`."""
         return b""
 
     def _write(self, values: Iterable[float]) -> None:
@@ -142,19 +150,19 @@ class ProgramRegisters:
         self._inputs._write(dict(zip(self._names, values, strict=True)))
 
     def absence(self, why: str) -> ConnectFailed:
-        """Return the error for a program that does not read the written values."""
+        """Return the error for a program that does not receive the written values."""
         return ConnectFailed(
             f"the program on the robot does not receive the values of its input registers: {why}. Check whether "
             f"another RTDE client or a fieldbus writes one of {', '.join(self._names)}"
         )
 
     def close(self, *, farewell: bool) -> None:
-        """Stop writing. A program that still runs finds no new message, and brakes. Idempotent."""
+        """Stop writing. If the program is still running, it finds no new message, and brakes. Idempotent."""
         self._is_closed, self.is_up = True, False
 
 
 class RegisterLink(ProgramRegisters):
-    """Registers of a program that follows set-points.
+    """Link over registers to a program that follows set-points.
 
     Args:
         inputs: Claimed inputs.
@@ -179,12 +187,12 @@ class RegisterLink(ProgramRegisters):
 
 
 class PointRegisterLink(ProgramRegisters):
-    """Registers of a program that buffers points, and answers.
+    """Link over registers to a program that buffers points and sends reports.
 
     Args:
         inputs: Claimed inputs.
-        outputs: Function that returns the newest values of `POINT_OUTPUTS`, as attributes; None if the connection is
-            lost.
+        outputs: Function that returns an object whose attributes are the newest values of `POINT_OUTPUTS`; None if the
+            connection is lost.
         clock: Function that returns monotonic time, in s.
 
     Attributes:
@@ -210,7 +218,7 @@ class PointRegisterLink(ProgramRegisters):
         self._write((*numbers[:_WHOLE], *own, *map(float, numbers[_WHOLE:-1])))
 
     def received(self) -> bytes:
-        """Return the newest report; return nothing if it has not changed, or if it is from another program.
+        """Return the newest report; no bytes if the report has not changed, or if another program wrote it.
 
         Raises:
             ConnectionLost: If no outputs arrive any more.
@@ -229,10 +237,12 @@ class PointRegisterLink(ProgramRegisters):
 
 
 class PointLinks:
-    """Makes links. The output registers are requested with the first link.
+    """Factory of links to programs that buffer points.
+
+    The output registers are requested with the first link.
 
     Args:
-        outputs: Function that returns a stream of RTDE outputs by their names.
+        outputs: Function that returns a stream of the RTDE outputs with given names.
     """
 
     def __init__(self, outputs: Callable[..., Stream[Any]]) -> None:

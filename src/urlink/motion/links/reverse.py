@@ -1,4 +1,4 @@
-"""Connection from a program on the robot to this computer."""
+"""Reverse link: connection that a program on the robot makes to this computer."""
 
 from __future__ import annotations
 
@@ -14,24 +14,25 @@ from ...script.links import TOKENS, ReverseSocket
 
 _log = logging.getLogger(__name__)
 
-#: Maximum number of connections that have not yet sent their token. It is bounded, because other peers can reach the
-#: port.
+#: Maximum number of connections that have not yet sent their token. The number is limited, because any computer in the
+#: network can connect to the port.
 _MOST_CANDIDATES = 8
 #: Number of bytes of a token.
 _TOKEN_SIZE = 4
 
-#: A connection, and the bytes that it has sent so far.
+#: A connection, and the bytes that have been received from it so far.
 _Candidate = tuple[TcpTransport, bytearray]
 
 
 class ReversePort:
-    """Address and port that programs on the robot connect to.
+    """Address and port on this computer to which programs on the robot connect.
 
     Args:
         robot: Address of the controller.
-        host: Address of this computer as seen by the robot. If None, use the address on the route to the robot.
+        host: Address of this computer that programs on the robot use. If None, the address from which this computer
+            reaches the robot.
         port: TCP port to listen on; 0 for a free one.
-        peer: Source address of the connections of programs. If None, it is the robot's own address.
+        peer: Source address of connections from programs on the robot. If None, the address of the robot.
     """
 
     def __init__(self, robot: str, host: str | None = None, port: int = 0, peer: str | None = None) -> None:
@@ -44,7 +45,7 @@ class ReversePort:
     def open(self) -> ReverseLink:
         """Listen for the next program.
 
-        With a fixed port, the previous link stops listening first, because its program will be replaced.
+        If the port is fixed, the previous link stops listening first, because the next program replaces its program.
 
         Raises:
             BadAddress: If the port cannot be opened.
@@ -57,14 +58,15 @@ class ReversePort:
 
 
 class ReverseLink:
-    """A port that waits for the connection of one program on the robot, and then this connection.
+    """Reverse link of one program: a port that waits for the program, and later the connection of the program.
 
-    A program identifies itself by the token in its text. A peer is refused if its address is not the robot's, or if it
-    sends other bytes, and the port continues to listen. The port is closed when the program has connected, and at the
-    latest when the link is closed. A program that the controller starts later cannot connect.
+    A program identifies itself with the token in its text. A connection is refused if it comes from another address
+    than the robot's, or if it does not send this token. The port then continues to listen. The port is closed when the
+    program has connected, and at the latest when the link is closed. If the controller starts the program later, it
+    cannot connect.
 
     Args:
-        where: Addresses of the robot and of this computer.
+        where: Addresses of the robot and of this computer, and the port.
 
     Attributes:
         endpoint: Address and token, for the program's text.
@@ -77,12 +79,13 @@ class ReverseLink:
     def __init__(self, where: ReversePort) -> None:
         here = local_address(where.robot) if where.host is None else where.host
         self._peers = addresses(where.robot if where.peer is None else where.peer)
-        # A given address may be translated by NAT, so this computer may not be able to listen on it.
+        # Listen on all addresses if `host` was given: this address may be translated by NAT, and may not exist on this
+        # computer.
         self._listener = TcpListener(here if where.host is None else "", where.port)
         self.endpoint = ReverseSocket(here, self._listener.address[1], random.SystemRandom().randrange(TOKENS))
         self._candidates: list[_Candidate] = []
         self._connection: TcpTransport | None = None
-        self._waiting = b""  # bytes that arrived directly after the token
+        self._waiting = b""  # bytes that arrived together with the token
         self._is_closed = False
 
     @property
@@ -91,7 +94,7 @@ class ReverseLink:
         return self._connection is not None
 
     def poll(self, has_begun: bool) -> bool:
-        """Accept the connection if it has been made; return True when it was accepted. Never waits."""
+        """Accept the connection of the program if it has arrived; return whether the link is up. Never waits."""
         while self._connection is None and (connection := self._accepted()) is not None:
             candidate = (connection, bytearray())
             if connection.host not in self._peers:
@@ -103,7 +106,7 @@ class ReverseLink:
         for candidate in tuple(self._candidates):
             if self._connection is None:
                 self._look(candidate)
-        if self._is_closed:  # closed by another thread, which did not yet see a connection that was accepted here
+        if self._is_closed:  # another thread has closed the link, and may have missed this new connection
             self.stop_listening()
         return self._connection is not None
 
@@ -112,12 +115,12 @@ class ReverseLink:
             try:
                 return self._listener.accept(0)
             except ConnectionLost:
-                pass  # closed again by the peer; there may be another connection
+                pass  # the peer has closed this connection again; there may be another one
             except (LinkTimeout, ConnectFailed):
                 return None
 
     def _look(self, candidate: _Candidate) -> None:
-        """Read the token of a candidate."""
+        """Read the token from a candidate, and accept or refuse this connection."""
         connection, said = candidate
         try:
             received = connection.receive_waiting()
@@ -147,26 +150,31 @@ class ReverseLink:
         self._forget(candidate)
 
     def _forget(self, candidate: _Candidate) -> None:
-        with contextlib.suppress(ValueError):  # it is not in the list yet, or another thread is closing
+        with contextlib.suppress(ValueError):  # not in the list yet, or removed by a thread that closes the link
             self._candidates.remove(candidate)
 
     def stop_listening(self) -> None:
-        """Stop accepting connections."""
+        """Close the port, and the connections that have not sent their token."""
         self._listener.close()
         while self._candidates:
-            self._candidates.pop()[0].abort()
+            try:
+                connection, _ = self._candidates.pop()
+            except IndexError:  # another thread has taken the last one
+                break
+            connection.abort()
 
     def send(self, data: bytes) -> None:
-        """Send to the program, at once and completely.
+        """Send data to the program without waiting; either all bytes are sent, or the connection is aborted.
 
         Raises:
-            ConnectionLost: If the connection is closed, or if the program does not read.
+            ConnectionLost: If the connection is closed, or if the program does not read its messages.
         """
         connection = self._connection
         if connection is None:
             raise ConnectionLost("the program on the robot is not connected")
         if connection.send_some(data) < len(data):
-            # The kernel has buffered some hundred set-points by now. A partly sent one would shift all that follow.
+            # The kernel has buffered several hundred set-points by now. After a partly sent set-point, the program
+            # would misread all later ones.
             connection.abort()
             raise ConnectionLost(f"{connection.name}: the program on the robot does not read its messages")
 
@@ -196,11 +204,12 @@ class ReverseLink:
         )
 
     def close(self, *, farewell: bool = False) -> None:
-        """Close the port and the connection, and discard data that has not arrived. Idempotent.
+        """Close the port and the connection. Idempotent.
+
+        Data that has not yet been delivered is discarded, except with `farewell`.
 
         Args:
-            farewell: Whether the bytes that were sent last must arrive. If so, wait for them up to a fraction of a
-                second.
+            farewell: Whether the last bytes must be delivered. If True, wait for this up to a fraction of a second.
         """
         self._is_closed = True
         self.stop_listening()

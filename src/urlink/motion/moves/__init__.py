@@ -1,1 +1,1 @@
-"""Motions along a path that is known at the start: paths, trajectories, waypoints, and taught waypoints."""
+"""Motions along a path that is known before the motion starts: paths with waypoints, and trajectories."""

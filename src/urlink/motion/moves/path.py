@@ -1,12 +1,13 @@
 """Paths of several segments that blend into each other, and the checks before a path is sent.
 
-The controller moves the arm. This module plans the path, to find errors that the controller would report only during
-the motion. It starts at the current joint positions, and uses the kinematics and the TCP of the arm.
+The controller moves the arm along the path. This module plans the path before it is sent, to find errors that the
+controller would report only during the motion. The plan starts at the current joint positions, and uses the kinematics
+and the TCP of the arm.
 
 Controllers refuse blends that overlap (vendor's manual; "overlapping blends" in users' logs). This module checks the
-sum of the radii at both ends of a segment. A line on which a joint would get too fast ends in a protective stop, as
-users report. It is not published how a controller limits the speed of a tool that turns in place, and how it rounds a
-corner. Therefore corners are checked as if they had no blends.
+sum of the radii at both ends of a segment. According to users, the controller makes a protective stop if a joint gets
+too fast on a line. Two facts are not published: the speed limit for a tool that turns in place, and the shape of a
+blend. Therefore corners are checked as if they had no blends.
 """
 
 from __future__ import annotations
@@ -36,23 +37,27 @@ if TYPE_CHECKING:
     from ...arm.curves import Curve
     from ...arm.kinematics import Arm
 
-#: Largest blend in m. A larger one has the wrong unit, because no arm is longer.
+#: Largest blend radius in m. A larger value probably has the wrong unit, because no arm is longer.
 _WIDEST = 2.0
-#: Maximum number of waypoints of a path. The limit of a controller is unknown. A text with this number has 200 kB.
+#: Maximum number of waypoints of a path. The limit of the controller is unknown. A program with this number of
+#: waypoints has 200 kB.
 _MOST = 1000
-#: Distance in m and in rad between two checked places of a line or an arc, and the maximum number of places.
+#: Largest distance between two checked positions on a line or an arc, in m and in rad, and the maximum number of steps
+#: between them.
 _STEP, _TURN, _MOST_STEPS = 0.005, 0.05, 2000
-#: Largest turn of a joint between two places, in rad, if the tool turns in place. A larger one means a singularity.
+#: Largest turn of a joint between two checked positions, in rad. A larger turn means that the path passes through a
+#: singularity.
 _LEAP = 0.5
-#: Distance in m that takes as long as a turn of 1 rad (assumed).
+#: Distance in m for which the tool needs as much time as for a turn of 1 rad (assumed).
 _RADIAN = parameters.number("metres_per_turn")
-#: Distance in m: a tool whose centre moves no further turns in place. A pose read from a robot is not more exact.
+#: If the tool centre moves at most this distance, in m, the tool is assumed to turn in place. A pose that was read from
+#: a robot is not more precise than this distance.
 _IN_PLACE = 1e-3
 
 
 @dataclass(frozen=True)
 class Rates:
-    """Speed and acceleration of the leading joint or of the tool.
+    """Speed and acceleration of the tool, or of the joint that moves furthest.
 
     The units are rad/s and rad/s² for a joint, and m/s and m/s² for the tool.
     """
@@ -61,17 +66,18 @@ class Rates:
     acceleration: float
 
     def seconds(self, way: float) -> float:
-        """Return the duration of a motion of length `way` from rest to rest, in s."""
+        """Return the duration in s of a motion from rest to rest over the distance `way`, in m or rad."""
         if way * self.acceleration > self.speed * self.speed:
             return way / self.speed + self.speed / self.acceleration
         return 2.0 * math.sqrt(way / self.acceleration)
 
 
 def check_joint_positions(values: ArrayLike, name: str, model: Model | None) -> FloatArray:
-    """Return positions of the joints as (6,) numbers in rad, read-only.
+    """Check joint positions, and return them as a read-only array, (6,) in rad.
 
     Raises:
-        BadValue: If these are not six finite numbers, or are out of the range of a known arm.
+        BadValue: If `values` is not six finite numbers, or if a position is out of the range of its joint. For an
+            unknown arm, the range is not checked.
     """
     q = six(values, name)
     if model is not None:
@@ -80,11 +86,13 @@ def check_joint_positions(values: ArrayLike, name: str, model: Model | None) -> 
 
 
 class Waypoint(StrictAttributes):
-    """Next waypoint of a path, and how the arm moves to it. Use one of its subclasses.
+    """Base class of the waypoints of a path: `Joint`, `Linear` and `Circular`.
+
+    A waypoint also defines the motion of the arm to the waypoint.
 
     Attributes:
-        blend: Radius in m where the arm begins to round the corner; 0 to stop at the waypoint.
-        rates: Speed and acceleration of the waypoint; None for the values of the path.
+        blend: Distance from the waypoint, in m, at which the arm begins to round the corner; 0 to stop at the waypoint.
+        rates: Function that returns the speed and the acceleration of the motion to the waypoint.
     """
 
     def __init__(self, blend: float, speed: float | None, acceleration: float | None) -> None:
@@ -95,20 +103,20 @@ class Waypoint(StrictAttributes):
 
     @property
     def has_motion_of_its_own(self) -> bool:
-        """Whether it has a blend, a speed or an acceleration."""
+        """Whether the waypoint has its own blend, speed or acceleration."""
         return bool(self.blend or self._speed or self._acceleration)
 
     def rates(self, usual: Rates) -> Rates:
-        """Return its speed and acceleration, or the usual values if it has none."""
+        """Return the speed and the acceleration of the waypoint, or the usual values if the waypoint has none."""
         return Rates(self._speed or usual.speed, self._acceleration or usual.acceleration)
 
 
 class Joint(Waypoint):
-    """A motion in a straight line in joint space to joint positions.
+    """Waypoint given as joint positions. The arm moves to it in a straight line in joint space.
 
     Args:
         q: Joint positions, shape (6,), in rad.
-        blend: Distance from there, in m, where the next segment may begin.
+        blend: Distance from the waypoint, in m, at which the next segment may begin.
         speed: Speed of the joint that moves furthest, in rad/s; None for the speed of the path.
         acceleration: Acceleration in rad/s²; None for the acceleration of the path.
     """
@@ -124,11 +132,11 @@ class Joint(Waypoint):
 
 
 class Linear(Waypoint):
-    """A motion of the tool in a straight line to a pose in the base frame.
+    """Waypoint given as a pose in the base frame. The tool moves to it in a straight line.
 
     Args:
         pose: Position in m, and rotation vector in rad, shape (6,).
-        blend: Distance from there, in m, where the next segment may begin.
+        blend: Distance from the waypoint, in m, at which the next segment may begin.
         speed: Speed in m/s; None for the speed of the path.
         acceleration: Acceleration in m/s²; None for the acceleration of the path.
     """
@@ -144,12 +152,12 @@ class Linear(Waypoint):
 
 
 class Circular(Waypoint):
-    """A motion of the tool on the circle through one pose to another, in the base frame.
+    """Waypoint given as a pose in the base frame. The tool moves to it on a circular arc through another pose.
 
     Args:
-        via: Pose on the arc, shape (6,), in m and rad; its orientation has no effect.
+        via: Pose on the arc, shape (6,), in m and rad. Only the position of this pose is used.
         to: Pose at the end, shape (6,), in m and rad.
-        blend: Distance from there, in m, where the next segment may begin.
+        blend: Distance from the waypoint, in m, at which the next segment may begin.
         speed: Speed in m/s; None for the speed of the path.
         acceleration: Acceleration in m/s²; None for the acceleration of the path.
     """
@@ -175,8 +183,8 @@ class PathSection:
     """One planned segment of a path.
 
     Attributes:
-        seconds: Duration from rest to rest, which is its share of the path, in s.
-        part: Function that returns the fraction of it that has passed, for a state.
+        seconds: Planned duration from rest to rest, in s. It is the weight of this segment in the progress of the path.
+        part: Function that returns, for a state, the fraction of the segment that the arm has passed.
     """
 
     seconds: float
@@ -188,7 +196,7 @@ class Plan:
     """A path that has been checked.
 
     Attributes:
-        body: Lines of its program.
+        body: Lines of the program that moves the arm along the path.
         sections: Planned segments, one for each waypoint.
     """
 
@@ -198,7 +206,7 @@ class Plan:
 
 @slider(path=SliderEffect.SCALED)
 class PathMotion(Motion):
-    """Motion along a path. `robot.motion.path` returns it."""
+    """Motion along a path of waypoints; see `robot.motion.path`."""
 
     def __init__(
         self, life: Lifecycle, sections: Sequence[PathSection], newest: Callable[[], RealtimeState | None]
@@ -210,12 +218,12 @@ class PathMotion(Motion):
 
     @property
     def segment(self) -> int:
-        """Number, from 0, of the waypoint that the arm is moving to; it changes when a blend begins."""
+        """Index of the waypoint to which the arm is moving, starting at 0; it changes when a blend begins."""
         return self._segment
 
     @property
     def segments(self) -> int:
-        """Number of waypoints."""
+        """Number of waypoints of the path."""
         return len(self._sections)
 
     def _on_text(self, text: str) -> None:
@@ -234,13 +242,13 @@ class PathMotion(Motion):
 def plan(
     waypoints: Sequence[Waypoint], joint_rates: Rates, tool_rates: Rates, arm: Arm | None, state: RealtimeState
 ) -> Plan:
-    """Check a path from the current position of the arm.
+    """Check a path that starts at the current position of the arm, and return the plan.
 
     Args:
         waypoints: Waypoints of the path.
-        joint_rates, tool_rates: Speeds and accelerations for waypoints that have none.
+        joint_rates, tool_rates: Speeds and accelerations for waypoints without their own values.
         arm: Kinematics of the arm. If None, reach, joint limits and blends are not checked.
-        state: State of the robot, which contains the joints and the tool centre point.
+        state: State of the robot, with the joint positions and the pose of the tool.
 
     Raises:
         BadValue: If a waypoint cannot be used. The message names the waypoint and the reason.
@@ -273,7 +281,7 @@ def plan(
 def shown_tcp(arm: Arm, state: RealtimeState) -> FloatArray:
     """Return the tool centre point in the frame of the flange, (6,) in m and rad.
 
-    On every firmware, the TCP of set_tcp is the difference between flange and tool pose.
+    On every firmware, the pose of the tool in a state includes the TCP that was set with ``set_tcp``.
     """
     from ...arm.poses import compose, invert
 
@@ -291,7 +299,7 @@ def _statement(waypoint: Waypoint, rate: Rates) -> list[str]:
 
 
 class _Planner:
-    """Plans a path waypoint by waypoint, as if there were no blends."""
+    """Planner of a path: plans one segment after another, as if there were no blends."""
 
     def __init__(self, arm: Arm, state: RealtimeState) -> None:
         self._arm = arm
@@ -337,11 +345,11 @@ class _Planner:
         return PathSection(rate.seconds(_counted(curve)), lambda state: curve.part(state.tool_vector_actual.tolist()))
 
     def _follow(self, curve: Curve, rate: Rates, is_fast_at_start: bool, is_fast_at_end: bool) -> FloatArray:
-        """Return the joint positions at the end of the curve, if the arm can follow it.
+        """Check that the arm can follow the curve, and return the joint positions at its end.
 
         Raises:
             Unreachable: If the curve is out of reach.
-            BadValue: If the curve exceeds a position limit, or is too fast for a joint.
+            BadValue: If a joint would exceed a position limit or its largest speed on the curve.
         """
         from ...arm.kinematics import Unreachable
 
@@ -352,8 +360,8 @@ class _Planner:
         try:
             rows = self._arm.inverse_path(poses, self._q, self._tcp)
         except Unreachable as error:
-            # Without the number of the row, because the message contains the pose.
-            raise Unreachable(f"the path to it is out of reach: {str(error).partition(': ')[2]}") from None
+            # Leave out the row number of the original message, because the message contains the pose.
+            raise Unreachable(f"the path to this waypoint is out of reach: {str(error).partition(': ')[2]}") from None
         low, high = model.position_limits.T
         beyond = (rows < low) | (rows > high)
         if beyond.any():
@@ -377,7 +385,15 @@ class _Planner:
         return end
 
     def _check_speeds(self, speeds: FloatArray, parts: FloatArray) -> None:
-        """Raise if a joint would be too fast; `speeds`: in rad/s, shape (steps, 6)."""
+        """Raise an error if a joint would be too fast.
+
+        Args:
+            speeds: Speeds of the joints, shape (steps, 6), in rad/s.
+            parts: Fractions of the path at the ends of the steps, shape (steps + 1,).
+
+        Raises:
+            BadValue: If a joint would be too fast.
+        """
         model = self._arm.model
         excess = speeds / model.max_speed
         if excess.max() > 1.0:
@@ -389,14 +405,14 @@ class _Planner:
 
 
 def _counted(curve: Curve) -> float:
-    """Return the length in m of a straight path that takes as long as the curve."""
+    """Return the length, in m, of a straight line for which the tool needs as much time as for the curve."""
     return max(curve.length, _RADIAN * curve.turn)
 
 
 def _speed_along(length: float, rate: Rates, steps: int, is_fast_at_start: bool, is_fast_at_end: bool) -> FloatArray:
     """Return the speed of the tool in the middle of each step, (steps, 1) in m/s.
 
-    It begins and ends at rest, except at a blend.
+    The tool is at rest at the beginning and at the end, except if there is a blend.
     """
     way = (np.arange(steps) + 0.5) * (length / steps)
     speed = np.full(steps, rate.speed)
@@ -408,8 +424,9 @@ def _speed_along(length: float, rate: Rates, steps: int, is_fast_at_start: bool,
 
 
 def _check_blends(before: float, after: float, length: float) -> None:
-    """Raise if the blends at the ends of a segment overlap."""
+    """Raise an error if the blends at the two ends of a segment overlap."""
     if before + after > length and (before or after):
         raise BadValue(
-            f"blends of {before:g} m at its beginning and {after:g} m at its end do not fit on a path of {length:.4g} m"
+            f"blends of {before:g} m at the beginning and {after:g} m at the end do not fit on a segment of "
+            f"{length:.4g} m"
         )

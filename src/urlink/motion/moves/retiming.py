@@ -1,18 +1,21 @@
-"""Shortest time for a path of the joints within limits of speed and acceleration.
+"""Fastest timing of a joint path within limits of speed and acceleration.
 
-The path is cut into short steps of its length, measured in joint space. At each place, x is the square of the speed
-along the path. Over a step from x to y, the acceleration along the path is constant, (y - x) / (2 ds). Joint speeds are
-the tangent of the path times the root of x. Joint accelerations are the tangent times this acceleration, plus the
-curvature times x or y. So all limits are lines in the plane of x and y.
+The path is divided into short steps of length ds, measured in joint space. At each place between two steps, x is the
+square of the speed along the path; y is the same quantity at the next place. In a step, the acceleration along the path
+is constant, (y - x) / (2 ds). Joint speeds are the tangent of the path times the square root of x. Joint accelerations
+are the tangent times the acceleration along the path, plus the curvature times x or y. So all limits are straight lines
+in the plane of x and y.
 
-From the end backwards, the method finds the largest x from which rest can still be reached. Then, from the beginning,
-the arm accelerates as hard as this allows. This is the reachability analysis of Pham and Pham ("A New Approach to
-Time-Optimal Path Parameterization Based on Reachability Analysis", IEEE Transactions on Robotics, 2018), which toppra
-implements. It is implemented here again, because it is a hundred lines and needs no compiled package.
+First, the method goes backwards from the end. At each place, it finds the largest x from which the arm can still come
+to rest at the end. Then it goes forwards from the beginning, and accelerates as hard as these values allow. This is the
+reachability analysis of Pham and Pham ("A New Approach to Time-Optimal Path Parameterization Based on Reachability
+Analysis", IEEE Transactions on Robotics, 2018), which the package toppra implements. This module implements the
+analysis again, because this takes only about a hundred lines and avoids a compiled package.
 
-The result is a curve of cubic polynomials through the places. If the path bends much within a step, the polynomials
-accelerate harder than planned. There, the limit is lowered, and the path is planned again. Any excess that is left
-after some rounds slows down the whole motion. So the curve itself keeps the limits everywhere.
+The result is a curve of cubic polynomials through the places. If the path bends much within a step, the accelerations
+of the polynomials are higher than planned. In such steps, the limit is lowered, and the path is planned again. If a
+limit is still exceeded after some rounds, the whole motion is slowed down. So the final curve is within the limits
+everywhere.
 """
 
 from __future__ import annotations
@@ -25,15 +28,16 @@ from linkcore.errors import BadValue
 
 from ...arm.vectors import FloatArray
 
-#: Shortest distance between two places, in rad; a place that is closer to the previous one is left out.
+#: Shortest distance between two places, in rad. A place that is closer to the previous place is left out.
 _SHORTEST = 1e-9
-#: Fraction of the fastest joint speed of the trajectory; below it, all joints are at rest at a place.
+#: Fraction of the largest speed of the trajectory, below which the arm counts as at rest at a place.
 _RESTING = 1e-6
-#: Maximum number of planning rounds, and the excess of a limit that is small enough to end them, as a factor.
+#: Maximum number of planning rounds, and largest ratio of acceleration to limit at which no further round is needed.
 _ROUNDS, _GOOD = 5, 1.005
-#: Maximum number of steps of Newton's method for one largest x. It is piecewise linear; two to four steps are usual.
+#: Maximum number of steps of Newton's method in `_largest`. The function is piecewise linear, so two to four steps are
+#: usual.
 _MOST_STEPS = 50
-#: Relative rounding error of x within which y counts as in its range.
+#: Largest amount, relative to x, by which rounding may make the lower bound of y exceed the upper bound.
 _ROUNDING = 1e-12
 
 
@@ -44,13 +48,14 @@ def retime(
 
     Args:
         q: Places along the path, shape (n, 6), in rad, close to each other.
-        qd: Joint speeds in another timing of the same path, shape (n, 6), in rad/s. They define the direction of the
-            path. If all are zero at a place, the new timing stops there as well.
+        qd: Joint speeds in another timing of the same path, shape (n, 6), in rad/s. The speeds define the direction of
+            the path. If all speeds are zero at a place, the arm also stops there in the new timing.
         speed, acceleration: Limits, shape (6,), in rad/s and rad/s².
-        closest: Shortest time between two places, in s. Places that are closer in time are left out.
+        closest: Shortest time between two places, in s. Places that would be closer in time are left out.
 
     Returns:
-        Times (m,) in s, places (m, 6), and joint speeds (m, 6). The cubic curve through them keeps the limits.
+        Times (m,) in s, places (m, 6) in rad, and joint speeds (m, 6) in rad/s. The cubic curve through these places is
+        within the limits.
 
     Raises:
         BadValue: If the path has no length.
@@ -66,7 +71,7 @@ def retime(
         if len(q) > 2:
             time, speeds = _fastest(q, qd, speed, lowered)
         else:
-            # One step from rest to rest needs no plan, and is only slowed down to the limits.
+            # A single step from rest to rest needs no planning. It is only slowed down until it is within the limits.
             time, speeds = np.array([0.0, closest]), np.zeros_like(q)
         if (np.diff(time) < closest).any():
             kept = _spread(time, closest)
@@ -81,12 +86,12 @@ def retime(
 
 
 def _spread(time: FloatArray, closest: float) -> list[int]:
-    """Return the numbers of places that are far enough apart in time; always include the first and the last."""
+    """Return the indices of places that are far enough apart in time, always with the first and the last place."""
     kept = [0]
     for i, t in enumerate(time.tolist()):
         if t - time[kept[-1]] >= closest:
             kept.append(i)
-    # The last of the kept places is the end, or is too close to the end.
+    # Replace the last kept place by the end: it is the end already, or is too close to the end.
     return [0, *kept[1:-1], len(time) - 1]
 
 
@@ -95,7 +100,8 @@ def _peaks(time: FloatArray, q: FloatArray, qd: FloatArray) -> tuple[FloatArray,
     h = np.diff(time)[:, np.newaxis]
     v0, v1, mean = qd[:-1], qd[1:], np.diff(q, axis=0) / h
     first, last = (6.0 * mean - 4.0 * v0 - 2.0 * v1) / h, (2.0 * v0 + 4.0 * v1 - 6.0 * mean) / h
-    # Accelerations change linearly, so a speed has its peak where its acceleration is zero, if this is within the step.
+    # The acceleration of a joint changes linearly in a step. So the speed has an extremum at the place with zero
+    # acceleration, if this place is within the step.
     change = last - first
     with np.errstate(divide="ignore", invalid="ignore"):
         peak = v0 - 0.5 * h * first * first / change
@@ -107,14 +113,17 @@ def _peaks(time: FloatArray, q: FloatArray, qd: FloatArray) -> tuple[FloatArray,
 def _fastest(
     q: FloatArray, qd: FloatArray, speed: FloatArray, acceleration: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return times and joint speeds at the places; `acceleration` contains limits (n - 1, 6) for each step."""
+    """Return the times and the joint speeds at the places.
+
+    The array `acceleration` contains the limits of each step, (n - 1, 6).
+    """
     ds = np.linalg.norm(np.diff(q, axis=0), axis=1)
     chord = np.diff(q, axis=0) / ds[:, np.newaxis]
     sizes = np.linalg.norm(qd, axis=1)
     rests = sizes <= _RESTING * sizes.max()
     rests[0] = rests[-1] = True
     tangent = qd / np.where(rests, 1.0, sizes)[:, np.newaxis]
-    # Next to a place at rest, the direction is the direction of the step.
+    # At a place where the arm is at rest, the direction of the path is that of the adjacent step.
     before = np.where(rests[:-1, np.newaxis], chord, tangent[:-1])
     after = np.where(rests[1:, np.newaxis], chord, tangent[1:])
     paces = np.sqrt(_squares(ds, before, after, rests, speed, acceleration))
@@ -130,13 +139,13 @@ def _squares(
     speed: FloatArray,
     acceleration: FloatArray,
 ) -> FloatArray:
-    """Return the square of the speed along the path at each place, as large as the limits allow."""
+    """Return the square of the speed along the path at each place, as large as the limits permit."""
     count = len(ds)
     with np.errstate(divide="ignore"):
         largest = np.pad(((speed / np.abs(before[1:])) ** 2).min(axis=1), 1)
     largest[rests] = 0.0
     bend = (after - before) / ds[:, np.newaxis]
-    # For each step, the lines a x + b y <= c: joint accelerations at its beginning and at its end.
+    # Inequalities a x + b y <= c for each step: limits of joint accelerations at its beginning and at its end.
     ramp_before, ramp_after = before / (2.0 * ds[:, np.newaxis]), after / (2.0 * ds[:, np.newaxis])
     a = np.concatenate([bend - ramp_before, ramp_before - bend, -ramp_after, ramp_after], axis=1)
     b = np.concatenate([ramp_before, -ramp_before, ramp_after + bend, -ramp_after - bend], axis=1)
@@ -154,7 +163,10 @@ def _squares(
 def _range(
     a: FloatArray, b: FloatArray, c: FloatArray, end: float, x: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the smallest and the largest y at x, from 0 to `end`, each with its slope over x."""
+    """Return the smallest and the largest permitted y for a given x, each with its derivative with respect to x.
+
+    The range of y is limited to 0 to `end`.
+    """
     left = c - a * x
     upper, lower = b > 0.0, b < 0.0
     low, high = (0.0, 0.0), (end, 0.0)
@@ -172,10 +184,10 @@ def _range(
 
 
 def _largest(a: FloatArray, b: FloatArray, c: FloatArray, end: float, x: float) -> float:
-    """Return the largest x, not above the given one, from which some y is within the limits.
+    """Return the largest x up to the given value for which at least one y is within the limits.
 
-    The range that is left for y is a concave function of x, and is not negative at 0. Newton's method from the right
-    comes closer with each step. It reaches the result after at most as many steps as there are lines.
+    The length of the permitted range of y is a concave function of x, and is not negative at x = 0. Newton's method
+    starts at the right and comes closer with each step. It needs at most as many steps as there are lines.
     """
     for _ in range(_MOST_STEPS):
         (low, low_slope), (high, high_slope) = _range(a, b, c, end, x)

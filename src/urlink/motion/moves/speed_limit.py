@@ -1,14 +1,14 @@
-"""Speed limit of set-points: each joint has a time budget, which its motion uses up.
+"""Speed limit of set-points: each joint has a time budget, and each motion of the joint uses a part of this budget.
 
 If a joint cannot reach a set-point in time, the controller answers with a protective stop. Therefore every set-point is
-checked here, wherever it was computed. Moving a joint by x rad uses x / (its largest speed) seconds of its budget. Each
-second that passes adds one second, up to a maximum:
+checked here, even if urlink has computed it. A motion of x rad uses x / (largest speed of the joint) seconds of the
+budget. Each second that passes adds one second to the budget, up to a maximum:
 
-- one period of the set-points plus `EARLY`, as long as they are sent regularly;
-- after a late set-point, additionally its lateness (at most `LATE`, unless another bound is given), for the set-points
-  that follow it directly. During the delay, the program on the robot continues at its last speed
-  (`urlink.script.streaming`), so catching up is not a jump. The first set-point that is on time again drops the rest of
-  the lateness.
+- if set-points are sent regularly: one period of the set-points plus `EARLY`;
+- after a late set-point: additionally the delay of this set-point (at most `LATE`, unless another bound is given). Only
+  the set-points that follow quickly can use the additional time. The first set-point that is on time again removes the
+  unused additional time. Catching up causes no jump, because the program on the robot continues at the last speed
+  during the delay (`urlink.script.streaming`).
 """
 
 from __future__ import annotations
@@ -24,15 +24,17 @@ from ...arm.bounds import JOINT_SPEED
 from ...arm.models import Model
 from ...arm.vectors import JOINTS, FloatArray, six
 
-#: Largest time in s that a set-point may be early. Chosen: more than the jitter of a sleep in Python, but so little
-#: that the simulated arm, driven at its largest speed, does not stop because of it.
+#: Largest time in s by which a set-point may be early. Chosen: longer than the jitter of a sleep in Python, but short
+#: enough that early set-points do not stop the simulated arm at its largest speed.
 EARLY = 0.001
-#: Lateness in s that may be made up for at once. Chosen: a tenth of the default watchdog.
+#: Largest delay of a set-point, in s, that the next set-points may make up for at once. Chosen: a tenth of the default
+#: watchdog.
 LATE = 0.01
-#: Longest period that counts, in s. In a slower loop, a step may not be larger, because the arm executes it at once.
+#: Longest period in s for which the limit is calculated. In a slower loop, the steps must not be larger, because the
+#: arm executes each step at once.
 LONGEST_PERIOD = 0.02
 
-#: Rounding of set-points to millionths, in rad, which must not count as speed.
+#: Rounding error of set-points, in rad, which is not counted as motion. Set-points are rounded to millionths.
 _SLACK = 2e-6
 
 
@@ -42,11 +44,11 @@ def largest_speeds(model: Model | None) -> tuple[float, ...]:
 
 
 def check_joint_speeds(values: ArrayLike, name: str, model: Model | None) -> FloatArray:
-    """Return speeds of the joints as (6,) numbers in rad/s, read-only.
+    """Check joint speeds, and return them as a read-only array, (6,) in rad/s.
 
     Raises:
-        BadValue: If these are not six finite numbers, or are too fast for the arm. An unknown arm counts as the
-            fastest.
+        BadValue: If `values` is not six finite numbers, or if a speed is too fast for the arm. For an unknown arm, the
+            limits of the fastest arm apply.
     """
     speeds = six(values, name)
     for joint, (value, limit) in enumerate(zip(speeds.tolist(), largest_speeds(model), strict=True)):
@@ -56,14 +58,14 @@ def check_joint_speeds(values: ArrayLike, name: str, model: Model | None) -> Flo
 
 
 class SpeedLimit:
-    """Time budget of each joint, in s at its full speed.
+    """Time budget of each joint: the time in s for which the joint may move at full speed.
 
     Args:
         speeds: Largest speeds of the joints, shape (6,), in rad/s.
         period: Time between two set-points, in s.
-        late: Lateness in s that may be made up for at once.
+        late: Largest delay in s that set-points may make up for at once.
 
-    The argument `now` of its methods is in monotonic seconds.
+    The argument `now` of the methods is a monotonic time in s.
     """
 
     def __init__(self, speeds: Sequence[float], period: float, late: float = LATE) -> None:
@@ -75,11 +77,11 @@ class SpeedLimit:
         self._at = math.inf
 
     def excess(self, before: Sequence[float], after: Sequence[float], now: float) -> str | None:
-        """Return why a move from `before` to `after`, (6,) rad, is too fast now; None if it is not."""
+        """Return a message if a move from `before` to `after`, (6,) rad, is too fast now; None if it is permitted."""
         budgets = self._budgets(now)
         for joint, (here, there, speed, seconds) in enumerate(zip(before, after, self._speeds, budgets, strict=True)):
             most = speed * seconds + _SLACK
-            if not abs(there - here) <= most:  # true for NaN too
+            if not abs(there - here) <= most:  # is also true for NaN
                 return (
                     f"q[{joint}] ({JOINTS[joint]}) is {there:.4f} rad, {abs(there - here):.4f} rad from the last "
                     f"set-point; at most {most:.4f} rad by now, at {speed:.2f} rad/s"
@@ -87,7 +89,7 @@ class SpeedLimit:
         return None
 
     def take(self, before: Sequence[float], after: Sequence[float], now: float) -> None:
-        """Count a set-point that was sent after `excess` allowed it."""
+        """Subtract the motion to a set-point from the budget. Call it after the set-point was sent."""
         self._budget = [
             max(seconds - abs(there - here) / speed, 0.0)
             for here, there, speed, seconds in zip(before, after, self._speeds, self._budgets(now), strict=True)
@@ -95,7 +97,7 @@ class SpeedLimit:
         self._at = now
 
     def _budgets(self, now: float) -> list[float]:
-        """Return the time budget of each joint at this time, in s."""
+        """Return the time budget of each joint at the time `now`, in s."""
         passed = max(now - self._at, 0.0)
         if passed > 1.5 * self._period:
             ceiling = self._even + min(passed - self._period, self._late)

@@ -1,11 +1,13 @@
-"""Timed joint trajectories: points, and the curve through them.
+"""Timed joint trajectories: points with times, and the curve through the points.
 
-Between two points, the curve is a cubic polynomial per joint if the points have velocities. It is a quintic polynomial
-if they also have accelerations. It passes through every point with exactly the values of the point.
+Between two points, the curve of each joint is a cubic polynomial if the points have velocities. If the points also have
+accelerations, the curve is a quintic polynomial. The curve passes through every point with exactly the values of the
+point.
 
-Points without velocities get zero velocity at both ends. The points in between get the velocities of a monotone cubic
-(Fritsch and Carlson, with the weighted harmonic mean that is known as PCHIP). This cubic never leaves the range between
-two neighbouring points. As in every cubic, the acceleration jumps at the points.
+If the points have no velocities, the velocity is zero at both ends of the trajectory. The points in between get the
+velocities of a monotone cubic curve (Fritsch and Carlson, with the weighted harmonic mean that is known as PCHIP).
+Between two points, this curve never leaves the range between the positions of these points. As in every cubic curve,
+the acceleration jumps at the points.
 """
 
 from __future__ import annotations
@@ -36,18 +38,18 @@ if TYPE_CHECKING:
 
     from ...arm.kinematics import Arm
 
-#: Shortest time between two points, in s. A shorter one is an error, because no controller has a cycle below 2 ms.
+#: Shortest time between two points, in s. A shorter time is rejected, because no controller has a cycle below 2 ms.
 _CLOSEST = 1e-4
-#: Largest number, in rad, rad/s, rad/s² and s; a larger one is an error.
+#: Largest accepted number, in rad, rad/s, rad/s² and s.
 _LARGEST = 1e6
-#: Places in each segment where `Trajectory.check` evaluates the curve. Between two places, the curve exceeds the found
-#: values by less than 1 % of its range, even if it oscillates as much as such a segment can.
+#: Number of places in each segment at which `Trajectory.check` evaluates the curve. Between two places, the curve
+#: exceeds the evaluated values by less than 1 % of its range, even if a segment oscillates as much as possible.
 _PLACES = 17
-#: Fraction by which rounding may exceed a limit.
+#: Fraction by which a value may exceed a limit, because of rounding.
 _SLACK = 1e-6
-#: Speed in rad/s below which an arm counts as at rest, at the beginning and the end of a trajectory.
+#: Joint speed in rad/s below which an arm counts as at rest at the beginning and the end of a trajectory.
 _STANDING = 0.05
-#: Largest turn of a joint between two poses, in rad. A larger one means a singularity.
+#: Largest turn of a joint between two poses, in rad. A larger turn means that the poses pass through a singularity.
 LEAP = 1.5
 
 _QUANTITIES = (("q", "rad"), ("qd", "rad/s"), ("qdd", "rad/s²"))
@@ -55,16 +57,16 @@ _QUANTITIES = (("q", "rad"), ("qd", "rad/s"), ("qdd", "rad/s²"))
 
 @dataclass(frozen=True, eq=False, init=False)
 class TrajectoryPoint:
-    """Positions of the joints at one time. Arrays are read-only, joints from base to wrist 3.
+    """Positions of the joints at one time. Arrays are read-only, with the joints from base to wrist 3.
 
     Attributes:
         q: Positions, shape (6,), in rad.
         time: Time in seconds since the trajectory began.
-        qd: Velocities, shape (6,), in rad/s; None if the trajectory chooses them.
-        qdd: Accelerations, shape (6,), in rad/s²; None if they are not prescribed.
+        qd: Velocities, shape (6,), in rad/s; None if the trajectory calculates the velocities.
+        qdd: Accelerations, shape (6,), in rad/s²; None if the accelerations are not prescribed.
 
     Raises:
-        BadValue: If these are not six finite numbers.
+        BadValue: If an array is not six finite numbers.
     """
 
     q: FloatArray
@@ -82,16 +84,16 @@ class TrajectoryPoint:
 
 
 class Trajectory(StrictAttributes):
-    """Points in time, and the curve through them.
+    """Joint trajectory: points with times, and the curve through the points.
 
     Args:
-        points: At least two points. The first must be at time 0, and times must increase. Either all points or none
-            have velocities, and the same applies to accelerations. Accelerations need velocities.
+        points: At least two points. The time of the first point must be 0, and times must increase. Either all points
+            must have velocities, or none of them. The same applies to accelerations. Accelerations need velocities.
 
     Attributes:
         time: Times, shape (n,), in seconds.
         q: Positions, shape (n, 6), in rad.
-        qd: Velocities, shape (n, 6), in rad/s; chosen ones if the points had none.
+        qd: Velocities, shape (n, 6), in rad/s; calculated if the points had no velocities.
         qdd: Accelerations, shape (n, 6), in rad/s², or None. All arrays are read-only.
         has_velocities: Whether the points had velocities.
 
@@ -146,20 +148,21 @@ class Trajectory(StrictAttributes):
     ) -> Trajectory:
         """Make a trajectory from poses of the tool.
 
-        Each pose gets the joint positions closest to the previous ones. Between the poses, the joints move smoothly.
-        The tool is exact at each pose. Between two poses, its deviation is smaller if the poses are closer together.
+        Each pose is converted to the joint positions that are closest to the previous ones. Between the poses, the
+        joints move smoothly. The tool passes exactly through each pose. Between two poses, the tool deviates from a
+        straight line. The deviation is smaller if the poses are closer together.
 
         Args:
             time: Times, shape (n,), in s.
             poses: Poses in the base frame, shape (n, 6), in m, with rotation vectors in rad.
             arm: Kinematics of the arm: ``robot.kinematics``, or an `urlink.kinematics.Arm`.
-            near: Joint positions at the beginning, shape (6,), in rad.
-            tcp: Pose of the TCP in the frame of the flange, shape (6,). If None, use the flange.
+            near: Joint positions that the first pose should be close to, shape (6,), in rad.
+            tcp: Pose of the TCP in the frame of the flange, shape (6,). If None, the poses are those of the flange.
 
         Raises:
             BadValue: If a point is invalid (see `Trajectory`), or if a joint would jump between two poses, for example
                 at a singularity.
-            Unreachable: If a pose is out of reach. The message names its row.
+            Unreachable: If a pose is out of reach. The message names the row of the pose.
         """
         q = arm.inverse_path(poses, near, tcp)
         leaps = np.abs(np.diff(q, axis=0)) > LEAP
@@ -180,7 +183,7 @@ class Trajectory(StrictAttributes):
         any order. The units are the same as in `TrajectoryPoint`.
 
         Raises:
-            BadValue: If the file cannot be read, or has another format. The message names the line.
+            BadValue: If the file cannot be read, or has a wrong format. The message names the line.
         """
         arrays, line = read_points(Path(path))
         try:
@@ -189,9 +192,9 @@ class Trajectory(StrictAttributes):
             raise BadValue(f"{path} (point 0 is line {line}): {error}") from None
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write a file for `from_csv`, with all digits.
+        """Write a CSV file that `from_csv` can read, with all digits of the numbers.
 
-        Velocities are written only if they were given.
+        Velocities are written only if the points had velocities.
 
         Raises:
             BadValue: If the file cannot be written.
@@ -228,14 +231,14 @@ class Trajectory(StrictAttributes):
                 array.flags.writeable = False
         self.time, self.q, self.qd, self.qdd = time, q, qd, qdd
         self._coefficients = _coefficients(time, q, qd, qdd)
-        # Plain floats, for single times: numpy takes as long for six numbers as for a hundred.
+        # Plain floats are used for single times, because numpy takes as long for six numbers as for a hundred.
         self._times: list[float] = time.tolist()
         self._rows: list[list[list[float]]] = self._coefficients.transpose(0, 2, 1).tolist()
         self._ends: list[list[float]] = [q[0].tolist(), q[-1].tolist()]
 
     @property
     def duration(self) -> float:
-        """Time in seconds from the first point to the last."""
+        """Time in seconds from the first to the last point."""
         return self._times[-1]
 
     @property
@@ -245,7 +248,7 @@ class Trajectory(StrictAttributes):
 
     @property
     def points(self) -> tuple[TrajectoryPoint, ...]:
-        """Points, as they were given."""
+        """Points of the trajectory; calculated velocities are left out."""
         return tuple(
             TrajectoryPoint(
                 self.q[i],
@@ -265,8 +268,8 @@ class Trajectory(StrictAttributes):
     def at(self, t: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return positions, velocities and accelerations at the times `t`.
 
-        For one time, each has shape (6,); for an array, (..., 6). Before the first point and after the last one, the
-        curve is at rest at this point.
+        For one time, each result has shape (6,); for an array of times, (..., 6). Before the first point, the curve is
+        at rest at the first point. After the last point, it is at rest at the last point.
 
         Raises:
             BadValue: If a time is not a number.
@@ -280,7 +283,7 @@ class Trajectory(StrictAttributes):
         return self._curve(times)
 
     def sample(self, t: float) -> tuple[list[float], list[float], list[float]]:
-        """Do the same as `at` for one time, in plain floats for control loops. NaN gives the end."""
+        """Return the same as `at` for one time, as plain floats for control loops. If `t` is NaN, return the end."""
         times = self._times
         if not 0.0 <= t <= times[-1]:
             rest = [0.0] * 6
@@ -314,18 +317,19 @@ class Trajectory(StrictAttributes):
     # -- time --------------------------------------------------------------------------------------
 
     def retimed(self, speed: ArrayLike, acceleration: ArrayLike) -> Trajectory:
-        """Return the same path with the shortest time within limits, from rest to rest.
+        """Return a trajectory with the same path and the shortest duration within limits, from rest to rest.
 
-        The new trajectory comes to rest at all places where all joints of this one are at rest. The times of the points
-        have no effect. The limits of an arm are not checked: see `check`. Jerk is not limited, so accelerations jump.
-        Retiming takes about a millisecond of processor time per point.
+        The new trajectory comes to rest at all places at which all joints of this trajectory are at rest. The times of
+        the points have no effect. The limits of an arm are not checked: see `check`. Jerk is not limited, so
+        accelerations jump. Retiming takes about a millisecond of processor time per point.
 
         Args:
             speed: Largest speed in rad/s, one number for all joints, or shape (6,).
             acceleration: Largest acceleration in rad/s², one number for all joints, or shape (6,).
 
         Returns:
-            A trajectory with velocities, with 3 to 200 points for each step of this one, and at least a few hundred.
+            A trajectory with velocities. It has 3 to 200 points for each segment of this trajectory, and at least a few
+            hundred points in total.
 
         Raises:
             BadValue: If a limit is not positive, or if the trajectory does not move.
@@ -333,7 +337,7 @@ class Trajectory(StrictAttributes):
         limits = six_limits(speed, "speed"), six_limits(acceleration, "acceleration")
         segments = len(self) - 1
         places = min(max(math.ceil(200 / segments), 20), max(math.ceil(2000 / segments), 3))
-        # The places are denser next to the points, where the curve bends most.
+        # The places are closer together near the points, because the curve bends most there.
         parts = 0.5 - 0.5 * np.cos(np.linspace(0.0, math.pi, places + 1)[:-1])
         times = np.append((self.time[:-1, None] + np.diff(self.time)[:, None] * parts).ravel(), self.duration)
         q, qd, _ = self._curve(times)
@@ -342,15 +346,15 @@ class Trajectory(StrictAttributes):
     # -- limits ------------------------------------------------------------------------------------
 
     def check(self, model: Model | None = None, near: ArrayLike | None = None, *, within: float = 0.05) -> None:
-        """Raise if an arm could not follow the trajectory, or should not begin it.
+        """Raise an error if an arm could not follow the trajectory, or should not begin it.
 
         The curve is evaluated at every point, and at 15 places between two neighbouring points.
 
         Args:
-            model: Model of the arm, whose limits of position, velocity and acceleration apply. If None, they are not
+            model: Model of the arm, with the limits of position, velocity and acceleration. If None, limits are not
                 checked. The limits of acceleration are approximate: see `urlink.models`.
-            near: Current joint positions, shape (6,), in rad. No joint of the first point may be further away than
-                `within`, and both ends must be at rest. If None, this is not checked.
+            near: Current joint positions, shape (6,), in rad. The first point must not be further away than `within` in
+                any joint, and the arm must be at rest at both ends of the trajectory. If None, neither is checked.
             within: Largest distance in rad.
 
         Raises:
@@ -361,7 +365,7 @@ class Trajectory(StrictAttributes):
         if model is None:
             return
         u = np.linspace(0.0, 1.0, _PLACES)
-        # Blocks of segments are used so that a long trajectory does not need gigabytes.
+        # Segments are checked in blocks, so that a long trajectory does not need gigabytes of memory.
         for first in range(0, len(self) - 1, 4096):
             segments = np.arange(first, min(first + 4096, len(self) - 1))
             times = self.time[segments][:, None] + u * np.diff(self.time)[segments][:, None]
@@ -379,7 +383,7 @@ class Trajectory(StrictAttributes):
                 refuse(values, name, unit, np.broadcast_to(limit, values.shape), beyond)
 
     def _place(self, times: FloatArray, segment: int, place: int) -> str:
-        """Describe one of these times, (segments, places), for messages."""
+        """Describe one of the times for error messages; the shape of `times` is (segments, places)."""
         t = times[segment, place]
         after = int(np.searchsorted(self.time, t, side="right")) - 1
         where = f"point {after}" if t == self.time[after] else f"between points {after} and {after + 1}"
@@ -391,7 +395,7 @@ class Trajectory(StrictAttributes):
         For example, ``plot().savefig("it.png")`` saves the plot.
 
         Args:
-            model: Model of the arm, whose limits of speed and acceleration are drawn; None for no limits.
+            model: Model of the arm. The limits of speed and acceleration of this model are drawn; None for no limits.
 
         Raises:
             LocalError: If matplotlib is not installed (``pip install 'urlink-robot[plot]'``).
@@ -403,7 +407,7 @@ class Trajectory(StrictAttributes):
         if (away > within).any():
             joint = int(np.argmax(away))
             raise BadValue(
-                f"the first point is too far from where the arm is: {JOINTS[joint]} (joint {joint}) is at "
+                f"the first point is too far from the position of the arm: {JOINTS[joint]} (joint {joint}) is at "
                 f"{near[joint]:.4f} rad, but begins at {self.q[0, joint]:.4f} rad; at most {within:g} rad is allowed"
             )
         for point, speeds in ((0, self.qd[0]), (len(self) - 1, self.qd[-1])):
@@ -424,13 +428,14 @@ def refuse_beyond(
     limits: FloatArray,
     beyond: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
 ) -> None:
-    """Raise if one of the values of a curve, (segments, places, joints), exceeds its limit.
+    """Raise an error if a value of a curve, shape (segments, places, joints), exceeds its limit.
 
     Args:
-        where: Function that names a place by its segment and its number in the segment, for the message.
-        whose: Owner of the limits, for the message.
-        values, what, unit: Values of the joints, their name and their unit.
-        limits: Limits of the values. Values within their limits may have any limit here.
+        where: Function that returns a description of a place for the error message. Its arguments are the number of the
+            segment, and the number of the place in this segment.
+        whose: Owner of the limits, such as "a UR5e", for the error message.
+        values, what, unit: Values of the joints, name of the quantity, and unit.
+        limits: Exceeded limits. The entries for values that are not `beyond` are ignored.
         beyond: Whether each value exceeds its limit.
 
     Raises:
@@ -447,7 +452,7 @@ def refuse_beyond(
 
 
 def _column(values: Sequence[FloatArray | None], name: str) -> FloatArray | None:
-    """Return all values as one array; None if all of them are None."""
+    """Return all values as one array; None if all values are None."""
     given = [value for value in values if value is not None]
     if not given:
         return None
@@ -473,18 +478,19 @@ def _check_times(time: FloatArray) -> None:
 
 
 def _chosen_velocities(time: FloatArray, q: FloatArray) -> FloatArray:
-    """Return velocities: zero at both ends, and in between the velocities of a monotone cubic."""
+    """Calculate velocities: zero at both ends, and those of a monotone cubic curve in between."""
     h = np.diff(time)[:, None]
     slope = np.diff(q, axis=0) / h
     qd = np.zeros_like(q)
     before, after = slope[:-1], slope[1:]
     ha, hb = h[:-1], h[1:]
     first, second = 2.0 * hb + ha, hb + 2.0 * ha
-    # Zero if the direction reverses, because the point is then an extremum. Signs are used, because a product can
-    # underflow.
+    # The velocity is zero if the direction reverses, because the point is then an extremum. The signs are multiplied
+    # instead of the slopes, because a product of slopes can underflow.
     goes_on = np.sign(before) * np.sign(after) > 0.0
     before, after = np.where(goes_on, before, 1.0), np.where(goes_on, after, 1.0)
-    # The weighted harmonic mean of the two slopes. The smaller slope is factored out so that nothing overflows.
+    # This is the weighted harmonic mean of the two slopes. The smaller slope is factored out, so that nothing
+    # overflows.
     least = np.minimum(np.abs(before), np.abs(after))
     mean = least * (first + second) / (first * (least / np.abs(before)) + second * (least / np.abs(after)))
     qd[1:-1] = np.where(goes_on, np.sign(before) * mean, 0.0)
@@ -492,7 +498,7 @@ def _chosen_velocities(time: FloatArray, q: FloatArray) -> FloatArray:
 
 
 def _coefficients(time: FloatArray, q: FloatArray, qd: FloatArray, qdd: FloatArray | None) -> FloatArray:
-    """Return coefficients (segments, 6 powers of u, 6 joints); u goes from 0 to 1 in each segment."""
+    """Return the coefficients, (segments, 6 powers of u, 6 joints); u increases from 0 to 1 in each segment."""
     h = np.diff(time)[:, None]
     way = np.diff(q, axis=0)
     v0, v1 = qd[:-1] * h, qd[1:] * h

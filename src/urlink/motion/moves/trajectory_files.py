@@ -1,4 +1,7 @@
-"""Trajectories as tables in files, ``time,q0,...,q5``, optionally with velocities and accelerations; and as plots."""
+"""Files and plots of trajectories.
+
+A file is a CSV table with the columns ``time,q0,...,q5``, and optionally with velocities and accelerations.
+"""
 
 from __future__ import annotations
 
@@ -27,10 +30,14 @@ def _names(quantities: int) -> list[str]:
 
 
 def read_points(path: Path) -> tuple[list[FloatArray], int]:
-    """Read times (n,), positions (n, 6), velocities and accelerations if there are any; and the line of point 0.
+    """Read the points of a trajectory from a CSV file.
+
+    Returns:
+        A list with times (n,) and positions (n, 6), then velocities and accelerations (n, 6) if the file has them; and
+        the number of the line that contains point 0.
 
     Raises:
-        BadValue: If the file cannot be read, or is not such a table.
+        BadValue: If the file cannot be read, or is not a table with these columns.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -62,7 +69,7 @@ def read_points(path: Path) -> tuple[list[FloatArray], int]:
 
 
 def write_points(path: Path, arrays: Sequence[FloatArray]) -> None:
-    """Write a table for `read_points`, with all digits.
+    """Write a table that `read_points` can read, with all digits of the numbers.
 
     Raises:
         BadValue: If the file cannot be written.
@@ -77,7 +84,10 @@ def write_points(path: Path, arrays: Sequence[FloatArray]) -> None:
 
 
 def _quantities(columns: list[str]) -> int:
-    """Return how many of positions, velocities and accelerations there are; each has six columns after the time."""
+    """Return the number of quantities: 1 for positions, 2 with velocities, 3 with accelerations.
+
+    Each quantity has six columns after the time.
+    """
     return len(columns) // 6
 
 
@@ -104,7 +114,7 @@ def _numbers_of(path: Path, line: int, row: list[str], columns: list[str]) -> li
     return values
 
 
-#: Total number of places where the curve is drawn.
+#: Number of times at which the curve is drawn.
 _PLACES = 1000
 _LABELS = ("position, rad", "speed, rad/s", "acceleration, rad/s²")
 
@@ -112,13 +122,13 @@ _LABELS = ("position, rad", "speed, rad/s", "acceleration, rad/s²")
 def plot(
     time: FloatArray, q: FloatArray, at: Callable[[FloatArray], Sequence[FloatArray]], model: Model | None
 ) -> Figure:
-    """See `Trajectory.plot`.
+    """Plot a trajectory; see `Trajectory.plot`.
 
     Args:
         time: Times of the points, shape (n,), in s; the first is 0.
         q: Positions of the points, shape (n, 6), in rad.
-        at: Function that returns positions, velocities and accelerations at times.
-        model: Model whose limits are drawn.
+        at: Function that returns positions, velocities and accelerations at given times.
+        model: Model of the arm; its limits are drawn. None for no limits.
     """
     try:
         from matplotlib.figure import Figure
@@ -127,7 +137,7 @@ def plot(
     figure = Figure(figsize=(8.0, 6.0), layout="constrained")
     rows = figure.subplots(3, 1, sharex=True)
     duration = float(time[-1])
-    # Accelerations jump at points, so there is one place on each side of a point.
+    # The acceleration jumps at a point, so the curve is drawn at a time shortly before and shortly after each point.
     beside = 1e-6 * duration
     times = np.unique(
         np.concatenate(

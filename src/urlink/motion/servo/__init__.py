@@ -1,1 +1,1 @@
-"""Motions controlled cycle by cycle: servo loops, following, jogging, force control, and their programs."""
+"""Motions that are controlled in each cycle: servo loops, trajectory following, jogging and force control."""

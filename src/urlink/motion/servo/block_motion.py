@@ -1,4 +1,4 @@
-"""Motions that last as long as a ``with`` block, with a link to a program on the robot.
+"""Base class of motions that last as long as a ``with`` block, with a link to a program on the robot.
 
 `KeptMessage` is the dialogue with a program that needs messages to keep running. It answers each state with the same
 message, until the message is changed.
@@ -27,14 +27,14 @@ from .setpoints import LinkDialogue
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-#: Time in s to wait for the program to connect if no states arrive. If states arrive, `CONNECT_TIMEOUT` ends it
-#: earlier.
+#: Time in s to wait for the connection of the program if no states arrive. If states arrive, `CONNECT_TIMEOUT` ends
+#: this wait earlier.
 _LONGEST = 6.0
-#: Time in s to wait for the reason of a lost connection.
+#: Time in s to wait for a report of the reason after a lost connection.
 _REASON = 1.5
-#: Time in s to wait for the end of the program when the block is left. Chosen: a controller that runs at a fifth of its
-#: speed has two seconds of its own time to brake. If it sends no states, the interlock ends the motion after one
-#: second.
+#: Time in s to wait for the end of the program when the block is left. Chosen: even a controller that runs at a fifth
+#: of its normal speed has two seconds of its own time to brake. If the controller sends no states, the interlock ends
+#: the motion after one second.
 _END_TIMEOUT = 10.0
 
 
@@ -43,7 +43,7 @@ class BlockMotion(Motion):
 
     Args:
         context: The robot.
-        name: Name of the motion, used in messages.
+        name: Name of the motion, used in error messages.
         dialogue: Dialogue that decides the messages for the program.
         open_link: Function that opens the link to the program.
     """
@@ -66,7 +66,8 @@ class BlockMotion(Motion):
         Raises:
             ConnectFailed: If the program did not connect.
             SafetyStop, NotRunning: If the arm may not be moved now.
-            LocalError: If this object was used before, or if this is a callback subscribed with ``inline=True``.
+            LocalError: If this object was used before, or if called in a callback that was subscribed with
+                ``inline=True``.
             LinkError: If the motion cannot start for another reason.
         """
         if not self._life.fire(Event.SEND):
@@ -76,14 +77,14 @@ class BlockMotion(Motion):
         try:
             with self._context.section.waiting():
                 if not clock.is_done(self._linked, _LONGEST):
-                    raise LinkTimeout(f"{self.name}: no connection within {_LONGEST:g} s")
+                    raise LinkTimeout(f"{self.name}: the program on the robot did not connect within {_LONGEST:g} s")
             self._linked.result()
         except BaseException:
             self.cancel()
             raise
         if self.error is not None:
             raise self.error
-        self._block.enter_context(urgent())  # the user's loop has to send a message in each cycle
+        self._block.enter_context(urgent())  # the user's loop must send a message in each cycle
         return self
 
     def __exit__(self, *exc: object) -> None:
@@ -100,11 +101,11 @@ class BlockMotion(Motion):
             raise
 
     def _check_open(self) -> None:
-        """Raise unless the block is open.
+        """Raise an error if the ``with`` block is not open.
 
         Raises:
-            LocalError: If not called within the block.
-            LinkError: If the motion has ended; the error is its reason.
+            LocalError: If called outside the ``with`` block.
+            LinkError: If the motion has ended; the error states the reason.
         """
         if not (self._life.happened(Event.LINK) or self.done):
             raise LocalError(
@@ -115,14 +116,14 @@ class BlockMotion(Motion):
             raise self.error or Closed(f"the block of this {self.name} was left")
 
     def _say(self, data: bytes, watchdog: float) -> None:
-        """Send a message of the user's loop to the program.
+        """Send a message from the user's loop to the program.
 
         Args:
             data: The message.
             watchdog: Longest time without a message, in s. After this time, the program brakes.
 
         Raises:
-            LinkError: If nothing can be sent. It is the reason that the robot reports, if this arrives in time.
+            LinkError: If nothing can be sent. If the robot reports the reason in time, the error is this reason.
         """
         try:
             self._program.feed(data, watchdog)
@@ -144,20 +145,21 @@ _NO_SPEEDS = (0.0,) * 6
 
 
 def message(values: Sequence[float]) -> bytes:
-    """Pack six values in the format that the programs of `urlink.script.force_control` read."""
+    """Pack six values in the format that the programs in `urlink.script.force_control` read."""
     return setpoint(values, _NO_SPEEDS)
 
 
 class KeptMessage(LinkDialogue):
-    """A dialogue with a program of `urlink.script.force_control`.
+    """Dialogue with a program from `urlink.script.force_control`.
 
     Args:
-        write: Function that makes the lines of the program for its link.
-        values: Values of the message, shape (6,). If None, the message only shows that this computer is alive.
+        write: Function that returns the lines of the program for its link.
+        values: Values of the message, shape (6,). If None, the message only shows that this computer is still
+            connected.
 
     Attributes:
-        values: Values of the message, as given. Any thread may set them.
-        is_mute: Whether states are no longer answered, because the user's loop sends the messages.
+        values: Values of the message. Any thread may set them.
+        is_mute: Whether this dialogue no longer answers states, because the user's loop sends the messages.
     """
 
     def __init__(self, write: Writer, values: Sequence[float] | None = None) -> None:

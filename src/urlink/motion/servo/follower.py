@@ -1,19 +1,19 @@
 """A trajectory as a stream of set-points, one per cycle of the controller.
 
-Each real-time state that arrives is answered with the set-point for its own time, a little ahead. The controller's
-clock paces the stream, so the clock of this computer does not matter. The trajectory advances with the time of the
-program on the robot (`urlink.command.program_time`). If the speed slider or another scaling slows down this time, the
-set-points are closer together. The program then follows as many of them as its time allows, on the same path.
+Each real-time state that arrives is answered with the set-point for a time shortly after the state. The controller's
+clock sets the pace of the stream, so the clock of this computer does not matter. The trajectory advances with the time
+of the program on the robot (`urlink.command.program_time`). If the speed slider or another scaling slows down this
+time, the set-points are closer together, and the arm moves more slowly on the same path.
 
-The distance between two set-points is bounded, even after set-points were missed. While none arrives, the program on
-the robot coasts: it continues at the speed of the last set-point and slows down steadily (`urlink.script.streaming`).
-The follower computes how far the arm has coasted. It continues from this position, fades out the difference to the
-trajectory, and follows the trajectory a tenth faster until it has caught up.
+The distance between two set-points is bounded, even after set-points were missed. While no set-point arrives, the
+program on the robot coasts: it continues at the speed of the last set-point and slows down steadily
+(`urlink.script.streaming`). The follower computes how far the arm has coasted, and continues from this position. It
+fades out the difference to the trajectory, and follows the trajectory up to 10 % faster until it has caught up.
 
-Each set-point is checked against the speeds of the joints (`urlink.motion.moves.speed_limit`). Missed cycles that a
-state reports count only if they have also passed on this computer's clock. If no set-point within the limit continues
-the motion, the motion ends with an error. As a last bound, the program on the robot approaches no set-point faster than
-the joints can move.
+Each set-point is checked against the speeds of the joints (`urlink.motion.moves.speed_limit`). If a state reports
+missed cycles, they count only if this time has also passed on this computer's clock. If no set-point within the limit
+can continue the motion, the motion ends with an error. As a last protection, the program on the robot never moves to a
+set-point faster than the joints can move.
 """
 
 from __future__ import annotations
@@ -29,28 +29,28 @@ from ..moves.trajectory import Trajectory
 from .following import AHEAD, Following, Tolerances
 from .setpoints import Servoing, SetpointStream
 
-#: Largest speed of the correction from the position of the arm to the trajectory, in rad/s.
+#: Largest joint speed of a correction from the position of the arm to the trajectory, in rad/s.
 _FADE_SPEED = 0.25
 #: Shortest duration of this correction, in s.
 _FADE_LEAST = 0.2
-#: Largest factor for following a trajectory faster, to catch up. Chosen: one second makes up for 0.1 s, and the jump
-#: in speed is no larger than the jumps between the points of a coarse trajectory.
+#: Largest factor by which a trajectory is followed faster to catch up. Chosen: in one second, the arm catches up by 0.1
+#: s. The jump in speed is not larger than the jumps between the points of a coarse trajectory.
 _CATCHING_UP = 1.1
-#: Shortest time in s for closing the difference to the trajectory, in position and in time. Chosen: as long as the
-#: program coasts (`urlink.script.streaming.COASTING`), so that it does not overshoot.
+#: Shortest time in s in which a difference to the trajectory is closed, in position and in time. Chosen: as long as the
+#: program coasts (`urlink.script.streaming.COASTING`), so that a coasting program does not overshoot.
 _SETTLING = 0.1
 
 
 class _Offset(ABC):
-    """A difference between two positions of the arm, which shrinks as the trajectory advances.
+    """Difference between two positions of the arm. It decreases to zero while the trajectory advances.
 
     Args:
         offset: Difference at the beginning, shape (6,), in rad.
-        begin: Beginning, in s on the trajectory.
-        seconds: Time until nothing is left of the difference, in s.
+        begin: Time at which the difference begins to decrease, in s on the trajectory.
+        seconds: Time until the difference is zero, in s.
 
     Attributes:
-        seconds: Time until nothing is left, as given.
+        seconds: Time until the difference is zero, in s.
     """
 
     def __init__(self, offset: Sequence[float], begin: float, seconds: float) -> None:
@@ -65,11 +65,14 @@ class _Offset(ABC):
 
     @abstractmethod
     def _left(self, rest: float) -> tuple[float, float]:
-        """Return the share that is left when a share `rest` of the time is left, and its change over the whole time."""
+        """Return the fraction of the difference that is left if a fraction `rest` of the time is left.
+
+        Also return the derivative of the fraction with respect to the elapsed fraction of the time.
+        """
 
 
 class _Fade(_Offset):
-    """A difference that is faded out, with zero speed at the beginning and at the end."""
+    """Difference that decreases smoothly, with zero speed at the beginning and at the end."""
 
     def __init__(self, offset: Sequence[float], begin: float) -> None:
         super().__init__(offset, begin, max(1.5 * max(map(abs, offset)) / _FADE_SPEED, _FADE_LEAST))
@@ -79,7 +82,7 @@ class _Fade(_Offset):
 
 
 class _Gap(_Offset):
-    """A difference that is closed at constant speed. This also works if it is measured again in each cycle."""
+    """Difference that decreases at constant speed. It may be measured again in each cycle."""
 
     def __init__(self, offset: Sequence[float], begin: float) -> None:
         super().__init__(offset, begin, max(max(map(abs, offset)) / _FADE_SPEED, _SETTLING))
@@ -89,17 +92,17 @@ class _Gap(_Offset):
 
 
 class Follower(Following):
-    """Set-points of a trajectory.
+    """Dialogue that sends a trajectory as a stream of set-points.
 
-    If the arm is not exactly at the first point, the difference is faded out while it moves.
+    If the arm is not exactly at the first point, the difference is faded out while the arm moves.
 
     Args:
         servoing: Parameters for following set-points.
-        delay: Time in s from a state until the arm is at the set-point that answered this state. If
-            None, it is the number of cycles that a set-point takes to arrive. The rest of the delay is the lag of
-            ``servoj``, which lasts longer while motion is scaled down (assumed: docs/protocols/urscript.md, Speed
-            scaling).
-        timer: Timer of the trajectory. If None, use the time of the program.
+        delay: Time in s from a state until the arm reaches the set-point that answered this state. If None, the delay
+            is only the number of cycles that a set-point needs to arrive. The real delay also includes the lag of
+            ``servoj``. This lag is longer while the speed scaling is below 100 % (assumed: docs/protocols/urscript.md,
+            Speed scaling).
+        timer: Timer of the trajectory. If None, the trajectory follows the time of the program.
     """
 
     def __init__(
@@ -115,20 +118,20 @@ class Follower(Following):
         super().__init__(servoing.body, trajectory, tolerances, timer or ProgramTimer(self._cycle))
         self.watchdog = servoing.watchdog
         self._lag = 0.0 if delay is None else delay - AHEAD * self._cycle
-        #: time in s that has passed on the trajectory; None before it has begun
+        #: time in s that has passed on the trajectory; None before the trajectory has begun
         self._t: float | None = None
-        # The following attributes are set when it begins.
-        #: difference between the arm and the first point, or between the arm and its path after a pause
+        # The following attributes are set when the trajectory begins.
+        #: difference between the arm and the first point, or after a pause between the arm and the path
         self._start: _Fade
         #: difference between the arm and the trajectory after set-points were missed
         self._gap: _Gap
-        #: time of the last set-point on the trajectory, in s
+        #: time of the last set-point, in s on the trajectory
         self._s: float
-        #: seconds on the trajectory per second of the program
+        #: seconds that pass on the trajectory per second of the program
         self._pace: float
 
     def desired(self, t: float) -> tuple[list[float], list[float]]:
-        """Return the positions in rad, and velocities in rad/s, that the arm should have at a time."""
+        """Return the desired positions, (6,) rad, and velocities, (6,) rad/s, at the time `t` on the trajectory."""
         q, qd = super().desired(t)
         offset, speed = self._start.at(t)
         return _sum(q, offset), _sum(qd, speed)
@@ -150,8 +153,8 @@ class Follower(Following):
         Raises:
             BadValue: If the arm is not at the beginning of the trajectory.
             LinkTimeout: If the arm does not come to rest.
-            ToleranceExceeded: If the arm is too far from the trajectory, or if no set-point within the limits leads
-                back to it.
+            ToleranceExceeded: If the arm is too far from the trajectory, or if no set-point within the limits can
+                continue the motion.
         """
         passed, scaled = self._timer.passed(state, now)
         cycle = self._timer.rate * self._cycle
@@ -162,7 +165,7 @@ class Follower(Following):
             here = self._check_start(state)
             self._start = _Fade(_difference(here, self._trajectory.q[0].tolist()), 0.0)
             self._stream.begin(here)
-            # A late beginning is treated like one in time that has missed the set-points since then.
+            # If the beginning is late, treat it like a beginning in time after which set-points were missed.
             late = max(round(beginning / self._cycle) - 1, 0)
             begun = min(beginning, cycle + self._stream.coasted_time(late))
             self._t, self._s, self._pace = beginning, begun + (AHEAD - 1) * cycle, 1.0
@@ -178,7 +181,7 @@ class Follower(Following):
         return message
 
     def _next(self, wanted: float, cycle: float, now: float) -> bytes:
-        """Return the next set-point: for the time `wanted` on the trajectory, or as close to it as the limits allow.
+        """Return the set-point for the time `wanted` on the trajectory, or as close to this time as the limits allow.
 
         Args:
             wanted: Time of the set-point, in s on the trajectory.
@@ -186,7 +189,7 @@ class Follower(Following):
             now: Monotonic time, in s.
         """
         excess = None
-        # If this computer's clock shows that this many cycles cannot have passed, no cycle was missed.
+        # If the missed cycles cannot have passed according to this computer's clock, assume that no cycle was missed.
         for missed in (self._stream.missed, 0):
             here, _ = self._stream.coasted_to(missed)
             s = self._s + self._pace * self._stream.coasted_time(missed)
@@ -203,9 +206,10 @@ class Follower(Following):
         raise ToleranceExceeded(f"the arm would have to jump to continue its trajectory: {excess}")
 
     def _lead(self, q: list[float], s: float, wanted: float, now: float) -> bytes:
-        """Return the message with a set-point and the speed from there on.
+        """Return the message with a set-point and the speed at which the program continues from it.
 
-        The program continues at this speed. It is along the trajectory, a little faster or slower, towards `wanted`.
+        This speed is the speed of the trajectory, increased or reduced by up to 10 % to approach the time `wanted`. The
+        speed that closes the current difference is added.
         """
         most = _CATCHING_UP - 1.0
         self._s, self._pace = s, 1.0 + min(max((wanted - s) / _SETTLING, -most), most)

@@ -1,6 +1,6 @@
-"""Common part of both ways to follow a trajectory: its time, the start, the tolerances, the end.
+"""Base of the two dialogues that follow a trajectory: the time on the trajectory, start, tolerances and end.
 
-It does no I/O and has no clock: `urlink.motion.servo.linked_program` passes states and times in.
+This module does no I/O and has no clock: `urlink.motion.servo.linked_program` passes the states and times.
 """
 
 from __future__ import annotations
@@ -24,16 +24,18 @@ from ..moves.trajectory import Trajectory
 from ..slider import SliderEffect, slider
 from .setpoints import LinkDialogue
 
-#: Number of cycles from a state until its set-point takes effect. The set-point is sent within the next cycle, and the
-#: program applies it at the beginning of the cycle after that.
+#: Number of cycles from a state until the set-point for this state takes effect. The set-point is sent within the next
+#: cycle, and the program applies it at the beginning of the cycle after that.
 AHEAD = 2
-#: Speed in rad/s below which an arm counts as at rest.
+#: Joint speed in rad/s below which the arm counts as at rest.
 _STANDING = 0.02
-#: Time in s that an arm has to come to rest before a trajectory begins.
+#: Time in s within which the arm must come to rest before a trajectory begins.
 _REST_TIMEOUT = 1.5
-#: Times in s before and after a pause for searching the position of the arm, and the step of this search.
+#: Times in s for finding the point of the trajectory that is closest to the arm after a pause: search range before the
+#: time of the pause, search range after this time, and step of the search.
 _BEFORE, _BRAKING, _NEARNESS = 0.2, 1.0, 0.004
-#: Number of states whose time on the trajectory is kept, for slow feedback: two seconds at 500 Hz.
+#: Number of newest states for which the time on the trajectory is kept: two seconds at 500 Hz. They are needed for slow
+#: feedback functions.
 _REMEMBERED = 1024
 
 
@@ -45,8 +47,8 @@ class TrajectoryFeedback:
 
     Attributes:
         time: Time in seconds on the controller's clock since the trajectory began.
-        trajectory_time: Time on the trajectory in seconds, which passes as fast as the robot executes programs. It is
-            less than `time` if the speed slider was below 100 %, or if the program was paused.
+        trajectory_time: Time on the trajectory in seconds. It advances with the time of the program on the robot. So it
+            is less than `time` if the speed slider was below 100 %, or if the program was paused.
         q_desired: Positions of the trajectory at `trajectory_time`, in rad.
         qd_desired: Velocities of the trajectory at `trajectory_time`, in rad/s.
         q_actual: Positions that the controller reports for this time, in rad.
@@ -70,7 +72,7 @@ class Tolerances:
     Attributes:
         path: Largest deviation of any joint before the end, in rad; None for no limit.
         goal: Largest deviation of any joint at the end, in rad.
-        goal_time: Time that the arm has after the end to arrive, in seconds of the trajectory's time.
+        goal_time: Time after the end within which the arm must reach the goal, in seconds of the trajectory's time.
         start: Largest distance of any joint from the first point, in rad.
     """
 
@@ -83,10 +85,10 @@ class Tolerances:
     def checked(
         cls, path_tolerance: float | None, goal_tolerance: float, goal_time: float, start_tolerance: float
     ) -> Tolerances:
-        """Check the tolerances that a user passes.
+        """Return the tolerances that a user passes, after checking their ranges.
 
         Raises:
-            BadValue: If one is not a number in its range.
+            BadValue: If a tolerance is not a number, or is out of range.
         """
         return cls(
             None if path_tolerance is None else check_number(path_tolerance, "path_tolerance", 1e-6, 100.0),
@@ -97,10 +99,10 @@ class Tolerances:
 
 
 class Rest:
-    """Waits until the arm is at rest, so that a motion can begin.
+    """Monitor of an arm that must come to rest before a motion begins.
 
     Args:
-        what: The motion that should begin, for messages.
+        what: Motion that should begin, used in error messages.
     """
 
     def __init__(self, what: str) -> None:
@@ -111,7 +113,7 @@ class Rest:
         """Whether the arm is at rest.
 
         Raises:
-            LinkTimeout: If the arm does not come to rest.
+            LinkTimeout: If the arm does not come to rest in time.
         """
         if self._moving_since is None:
             self._moving_since = now
@@ -123,35 +125,36 @@ class Rest:
 
 @slider(follow=SliderEffect.SCALED)
 class Following(LinkDialogue):
-    """Dialogue that follows a trajectory: the base class of the two dialogues that do this.
+    """Base class of the two dialogues that follow a trajectory.
 
-    Its time is the time of the program on the robot (`urlink.command.program_time`).
+    The time of a trajectory advances with the time of the program on the robot (`urlink.command.program_time`).
 
     Args:
-        write: Function that makes the lines of the program.
+        write: Function that returns the lines of the program.
         trajectory: Trajectory to follow.
         tolerances: Largest allowed deviations.
         timer: Timer of the trajectory.
 
     Attributes:
         progress: Fraction of the trajectory that has passed.
-        is_over: Whether the arm has arrived and is at rest. This is the end for the arm, but not for the motion: BRAKE
-            follows.
+        is_over: Whether the arm has arrived and is at rest. The motion ends later, after the event BRAKE.
     """
 
     def __init__(self, write: Writer, trajectory: Trajectory, tolerances: Tolerances, timer: ProgramTimer) -> None:
         super().__init__(write)
         self.progress = 0.0
-        #: end, in s on the trajectory; later if a difference is still faded out then
+        #: end of the motion, in s on the trajectory; after the end of the trajectory if an offset must still be faded
+        #: out
         self._end = trajectory.duration
         self._trajectory = trajectory
         self._tolerances = tolerances
         self._timer = timer
-        #: time in s since it began, on the controller's clock; set from the first comparison on
+        #: time in s since the trajectory began, on the controller's clock; set by the first comparison
         self._passed: float
-        #: for each state: its time, the time since the beginning, and the time on the trajectory, in s
+        #: for each state: time of the state, time since the trajectory began, and time on the trajectory, in s
         self._times: deque[tuple[float, float, float]] = deque(maxlen=_REMEMBERED)
-        #: time in s on the trajectory of the point that the program has not passed yet, if it reports its points
+        #: time of the next point that the program has not yet passed, in s on the trajectory; infinite if the program
+        #: does not report its points
         self._next_time = math.inf
         self._rest = Rest("the trajectory")
 
@@ -160,19 +163,20 @@ class Following(LinkDialogue):
         self._timer.restart()
 
     def _nearest(self, q: Sequence[float], t: float) -> float:
-        """Return the time of the trajectory's closest point to `q`, (6,) rad, in s, after a pause at `t`.
+        """Return the time of the trajectory's point that is closest to `q`, (6,) rad, after a pause at `t`, in s.
 
-        The controller has braked along the path from there, and the arm was behind its set-points before.
+        The search includes times after `t`, because the controller braked along the path, and times before `t`, because
+        the arm was behind its set-points.
         """
         times = np.clip(np.arange(t - _BEFORE, t + _BRAKING, _NEARNESS), min(t, 0.0), self._trajectory.duration)
         places = np.array([self._trajectory.sample(each)[0] for each in times.tolist()])
         return float(times[np.square(places - q).sum(1).argmin()])
 
     def times(self, time: float) -> tuple[float, float] | None:
-        """Return, for a state of the time `time`, the time since the beginning and the time on the trajectory, in s.
+        """Return the time since the beginning and the time on the trajectory, in s, for a state with the time `time`.
 
-        Returns None before the trajectory has begun, and for a state older than the kept ones. May be called from any
-        thread.
+        Return None before the trajectory has begun, or if the state is older than the kept states. This method may be
+        called from any thread.
         """
         after = None
         for n in range(1, len(self._times) + 1):
@@ -186,15 +190,15 @@ class Following(LinkDialogue):
         return None
 
     def desired(self, t: float) -> tuple[list[float], list[float]]:
-        """Return the positions in rad, and velocities in rad/s, that the arm should have at a time."""
+        """Return the desired positions, (6,) rad, and velocities, (6,) rad/s, at the time `t` on the trajectory."""
         q, qd, _ = self._trajectory.sample(t)
         return q, qd
 
     def _check_start(self, state: RealtimeState) -> list[float]:
-        """Return the target joint positions of the arm, which must be close to the first point.
+        """Return the target joint positions of the arm, and check that they are close to the first point.
 
         Raises:
-            BadValue: If they are not close to it.
+            BadValue: If these positions are not close to the first point.
         """
         q = state.q_target.tolist()
         self._trajectory.check(near=q, within=self._tolerances.start)
@@ -204,12 +208,12 @@ class Following(LinkDialogue):
         """Compare the arm with the trajectory at the time `t`.
 
         Raises:
-            ToleranceExceeded: If the arm is too far away.
+            ToleranceExceeded: If the arm is too far from the trajectory.
         """
         trajectory, tolerances = self._trajectory, self._tolerances
         if not self._times:
             self._passed = t
-        if state.time == state.time:  # false for NaN
+        if state.time == state.time:  # is false for NaN
             self._times.append((state.time, self._passed, t))
         self.progress = t / trajectory.duration
         actual = state.q_actual.tolist()
@@ -229,9 +233,9 @@ class Following(LinkDialogue):
 def _refuse(desired: Sequence[float], actual: Sequence[float], tolerance: float, when: str) -> None:
     errors = [abs(d - a) for d, a in zip(desired, actual, strict=True)]
     worst = max(range(6), key=lambda joint: errors[joint] if errors[joint] == errors[joint] else float("inf"))
-    if not errors[worst] <= tolerance:  # true for NaN too
+    if not errors[worst] <= tolerance:  # is also true for NaN
         raise ToleranceExceeded(
-            f"{JOINTS[worst]} (joint {worst}) is {errors[worst]:.4f} rad from where it should be, {when}; "
+            f"{JOINTS[worst]} (joint {worst}) is {errors[worst]:.4f} rad from the desired position, {when}; "
             f"the tolerance is {tolerance:g} rad"
         )
 

@@ -26,9 +26,10 @@ from .linked_program import Link
 
 #: Largest force in N and torque in Nm; no arm exerts more.
 _LARGEST = 1000.0
-#: Smallest limit, in m and rad, or m/s and rad/s. A smaller one would hold the tool at its position.
+#: Smallest accepted limit of an axis: speed in m/s or rad/s, deviation in m or rad. A smaller limit would keep the tool
+#: at its position.
 _LEAST = 1e-6
-#: First releases with force mode, with damping (CB3), and with gain.
+#: First firmware releases with force mode, with damping (on CB3), and with gain.
 _FORCE_MODE = Firmware(3, 0)
 _DAMPING_CB, _GAIN = Firmware(3, 5), Firmware(5, 0)
 #: Names of the directions along and about the axes of a frame.
@@ -36,10 +37,10 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 
 def axes_of(values: Sequence[object], what: str) -> tuple[bool, ...]:
-    """Convert six values of 0 and 1, or of False and True, to booleans.
+    """Convert six values to booleans. Each value must be 0, 1, False or True.
 
     Raises:
-        BadValue: If these are not six such values.
+        BadValue: If `values` are not six of these values.
     """
     axes = list(values)
     if len(axes) != 6 or any(each not in (0, 1) for each in axes):
@@ -48,7 +49,9 @@ def axes_of(values: Sequence[object], what: str) -> tuple[bool, ...]:
 
 
 def frame_of(context: MotionContext, frame: Numbers | str) -> tuple[float, ...]:
-    """Return the pose of a frame: "base", "tool" (its current pose), or a pose in the base frame.
+    """Return the pose of a frame in the base frame.
+
+    A frame is "base", "tool" (the tool frame in its current pose), or a pose in the base frame.
 
     Raises:
         BadValue: If `frame` is none of these.
@@ -64,11 +67,11 @@ def frame_of(context: MotionContext, frame: Numbers | str) -> tuple[float, ...]:
 
 
 def _check_pressing(pressing: Pressing, firmware: Firmware) -> None:
-    """Check the numbers, and whether the firmware supports them.
+    """Check the ranges of the parameters, and whether the firmware supports these parameters.
 
     Raises:
         BadValue: If a number is out of range.
-        LocalError: If this firmware does not have force mode, damping or gain.
+        LocalError: If this firmware does not support force mode, or if it does not support the given damping or gain.
     """
     if firmware < _FORCE_MODE:
         raise LocalError(f"firmware {firmware} does not support force mode; {_FORCE_MODE} or later is required")
@@ -90,7 +93,7 @@ def _check_pressing(pressing: Pressing, firmware: Firmware) -> None:
 
 @slider(force_mode=SliderEffect.UNSCALED)
 class ForceMode(BlockMotion):
-    """Force mode for as long as a ``with`` block is open. `robot.motion.force_mode` returns it."""
+    """Force mode that lasts while a ``with`` block is open; see `robot.motion.force_mode`."""
 
     def __init__(
         self,
@@ -116,12 +119,12 @@ class ForceMode(BlockMotion):
     def set_wrench(self, wrench: Numbers) -> None:
         """Exert another wrench, starting with the next state.
 
-        It has no effect along axes that do not yield.
+        The values for axes that do not yield have no effect.
 
         Raises:
-            BadValue: If `wrench` is not six finite numbers, or exceeds what an arm can exert.
-            LinkError: If force mode has ended; the error is its reason.
-            LocalError: If not called within the block.
+            BadValue: If `wrench` is not six finite numbers, or exceeds the largest force or torque of an arm.
+            LinkError: If force mode has ended; the error states the reason.
+            LocalError: If called outside the ``with`` block.
         """
         self._check_open()
         self._message.values = _wrench(wrench).tolist()
@@ -135,24 +138,24 @@ def _wrench(wrench: Numbers) -> FloatArray:
 
 
 _NOTHING = (0.0,) * 6
-#: First releases with freedrive in a program, and with freedrive along selected axes.
+#: First firmware releases with freedrive in a program, and with freedrive along selected axes.
 _FREEDRIVE, _SOME_AXES = Firmware(3, 0), Firmware(5, 10)
 
 
 @slider(freedrive=SliderEffect.UNSCALED)
 class Freedrive(BlockMotion):
-    """Freedrive for as long as a ``with`` block is open. `robot.freedrive` returns it.
+    """Freedrive that lasts while a ``with`` block is open; see `robot.freedrive`.
 
     Args:
         context: The robot.
         axes: Whether each axis of the frame is free, shape (6,). If None, all axes are free.
         frame: Pose of the frame in the base frame, shape (6,).
-        watchdog: Longest time without a message from this computer, in s. After it, the robot ends freedrive.
+        watchdog: Longest time without a message from this computer, in s. After this time, the robot ends freedrive.
         open_link: Function that opens the link to the program.
 
     Raises:
         BadValue: If a number is out of range, or if no axis is free.
-        LocalError: If this firmware does not support freedrive, or not along selected axes.
+        LocalError: If this firmware does not support freedrive, or does not support freedrive along selected axes.
     """
 
     def __init__(
@@ -177,24 +180,25 @@ class Freedrive(BlockMotion):
         super().__init__(context, "freedrive", KeptMessage(body, _NOTHING), open_link)
 
 
-#: First releases with direct torque.
+#: First firmware releases with direct torque.
 DIRECT_TORQUE = Since("5.23/10.11")
 
 
 @slider(torque=SliderEffect.UNSCALED)
 class Torque(BlockMotion):
-    """Sends the torques of your loop within a ``with`` block. `robot.motion.torque` returns it.
+    """Direct torque from your loop, while a ``with`` block is open; see `robot.motion.torque`.
 
     Args:
         context: The robot.
-        limits: Largest torques that `send` accepts, shape (6,), in Nm. If None, the largest torques of the joints.
+        limits: Largest torques that `send` accepts, shape (6,), in Nm. If None, the limits are the maximum torques of
+            the joints.
         friction_compensation: Whether the controller compensates the friction of the joints.
-        watchdog: Longest time without a torque, in s. After this time, the arm brakes.
+        watchdog: Longest time without new torques, in s. After this time, the arm brakes.
         open_link: Function that opens the link to the program.
 
     Raises:
         BadValue: If a number is out of range.
-        LocalError: If this firmware does not have direct torque.
+        LocalError: If this firmware does not support direct torque.
     """
 
     def __init__(
@@ -223,15 +227,16 @@ class Torque(BlockMotion):
     def send(self, torque: ArrayLike) -> None:
         """Apply these torques, starting in the next cycle.
 
-        If no other torques follow, they fade during the watchdog time.
+        If no new torques follow, these torques decrease gradually during the watchdog time.
 
         Args:
             torque: Torques in addition to gravity compensation, shape (6,), in Nm.
 
         Raises:
-            BadValue: If these are not six finite numbers, or if one exceeds its limit. Nothing is sent.
-            SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: If the mode has ended.
-            LocalError: If not called within the block.
+            BadValue: If `torque` is not six finite numbers, or if a torque exceeds the limit of its joint. Nothing is
+                sent.
+            SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: If direct torque has ended.
+            LocalError: If called outside the ``with`` block.
         """
         self._check_open()
         values = six(torque, "torque").tolist()
@@ -248,7 +253,7 @@ class Contact:
 
     Attributes:
         q: Joint positions, shape (6,), in rad.
-        pose: Pose of the TCP in the base frame, shape (6,), in m and rad; None if the arm is unknown.
+        pose: Pose of the TCP in the base frame, shape (6,), in m and rad; None if the model of the arm is unknown.
     """
 
     q: FloatArray
@@ -257,14 +262,14 @@ class Contact:
 
 @slider(until_contact=SliderEffect.SCALED)
 class ContactMotion(Motion):
-    """Motion until a contact. `robot.motion.until_contact` returns it.
+    """Motion that ends when the tool touches an object; see `robot.motion.until_contact`.
 
-    It fails with `NoContact` if there is no contact.
+    The motion fails with `NoContact` if the tool touches nothing.
 
     Args:
         life: Life cycle of the motion.
-        distance: Longest distance without a contact, in m, for messages.
-        pose_at: Function that returns the pose of the TCP at joint positions.
+        distance: Longest distance without a contact, in m, used in error messages.
+        pose_at: Function that returns the pose of the TCP for given joint positions, or None if it is unknown.
     """
 
     def __init__(self, life: Lifecycle, distance: float, pose_at: Callable[[FloatArray], FloatArray | None]) -> None:
@@ -275,7 +280,7 @@ class ContactMotion(Motion):
 
     @property
     def contact(self) -> Contact | None:
-        """Place where the contact began; None while the motion runs, and if there was no contact."""
+        """Position where the contact began; None while the motion runs, or if there was no contact."""
         return self._contact
 
     def _on_text(self, text: str) -> None:

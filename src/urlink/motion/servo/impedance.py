@@ -1,7 +1,8 @@
 """Impedance: springs and dampers between the arm and a target, computed on the controller.
 
-On firmware 5.23, 10.11 or later, they are springs of the joints or of the tool, and act through direct torque. On older
-firmware, they are springs of the tool. They act through the force that the wrist measures, if it has a sensor.
+On firmware 5.23 or later (PolyScope X: 10.11 or later), the springs are attached to the joints or to the tool, and
+direct torque produces their forces. On older firmware, the springs are attached to the tool only. They need a force
+sensor in the wrist: the program moves the arm according to the measured force.
 """
 
 from __future__ import annotations
@@ -28,14 +29,14 @@ from .jog import FrameName
 from .linked_program import Link
 from .setpoints import LinkDialogue
 
-#: One message of this many contains the gains or the posture. It is not a simple fraction, so that a program that
-#: receives only every n-th message still receives all of them.
+#: Step of a counter, and fraction of the messages that contain the gains or the posture. The step is not a simple
+#: fraction. Therefore a program that receives only every n-th message still receives all kinds of messages.
 _GOLDEN, _GAINS_SHARE = 0.6180339887, 0.25
 
 
 @slider(impedance=SliderEffect.SCALED)
 class Impedance(BlockMotion):
-    """Springs and dampers that pull the arm to a target. `robot.motion.impedance` returns it.
+    """Springs and dampers that pull the arm to a target; see `robot.motion.impedance`.
 
     Args:
         context: The robot.
@@ -46,7 +47,8 @@ class Impedance(BlockMotion):
         BadValue, LocalError: If an argument is rejected; see `Motions.impedance`.
 
     Attributes:
-        frame: "joints" for springs of the joints. "base" or "tool" for the axes of springs of the tool.
+        frame: "joints" for springs of the joints; "base" or "tool" for springs of the tool along the axes of this
+            frame.
     """
 
     def __init__(self, context: MotionContext, parameters: ImpedanceParameters, open_link: Callable[[], Link]) -> None:
@@ -60,9 +62,9 @@ class Impedance(BlockMotion):
 
     @property
     def target(self) -> FloatArray | None:
-        """Joint positions, (6,) rad, or pose of the tool; None before the first target.
+        """Target as joint positions, (6,) rad, or as a pose of the tool; None before the first target.
 
-        The arm is held at its position until then.
+        Until the first target, the springs hold the arm at its position.
         """
         return None if self._messages.target is None else np.array(self._messages.target)
 
@@ -70,42 +72,44 @@ class Impedance(BlockMotion):
     def posture(self) -> FloatArray | None:
         """Joint positions that the posture springs pull to, (6,) rad.
 
-        None before the first target, and for springs of the joints.
+        None before the first target, and always None for springs of the joints.
         """
         return None if self._messages.posture is None else np.array(self._messages.posture)
 
     @property
     def stiffness(self) -> FloatArray:
-        """Stiffness as set last, (6,), in Nm/rad.
+        """Newest stiffness, (6,), in Nm/rad.
 
-        For the tool, it is in N/m along and Nm/rad about the axes of the frame.
+        For springs of the tool, the stiffness is in N/m along the axes of the frame, and in Nm/rad about these axes.
         """
         return np.array(self._messages.gains[0])
 
     @property
     def damping(self) -> FloatArray:
-        """Damping ratios as set last, (6,); 1 is critical damping."""
+        """Newest damping ratios, (6,); 1 is critical damping."""
         return np.array(self._messages.gains[1])
 
     def send(self, target: Numbers, posture: Numbers | None = None) -> None:
         """Pull the arm to a target from now on.
 
-        Targets may be sent at any rate: 10 or 500 per second, or only once. For each target, the program takes as long
-        as the last targets took to arrive. Therefore it is about one interval behind. It is never faster than 0.7
-        of the largest speed. Orientations are approached by the shorter rotation.
+        Targets may be sent at any rate: 10 or 500 per second, or only once. The program moves to each target in the
+        time between the last targets. Therefore the arm is about one such interval behind the targets. The program
+        never moves faster than 0.7 of the largest speed. The tool turns to an orientation by the shorter rotation.
 
         Args:
             target: Joint positions, shape (6,), in rad. With the frame "base" or "tool", the pose of the TCP in the
                 base frame.
-            posture: Joint positions that the posture springs pull to, shape (6,), in rad, in addition to such a pose.
-                If None, use the joint positions of the pose that are closest to the previous posture.
+            posture: Joint positions that the posture springs pull to, shape (6,), in rad. They apply in addition to a
+                pose. If None, urlink uses the inverse-kinematics solution of the pose that is closest to the previous
+                posture.
 
         Raises:
-            BadValue: If these are not six numbers, or out of the range of a joint, or if a posture is passed for
-                springs of the joints or without direct torque. The target does not change, here and in the cases below.
+            BadValue: If these are not six numbers, if a number is out of the range of its joint, or if a posture is
+                passed for springs of the joints or without direct torque. In this case and in the cases below, the
+                target does not change.
             Unreachable: If the tool cannot reach this pose.
-            LinkError: If the impedance has ended; the error is its reason.
-            LocalError: If not called within the block.
+            LinkError: If the impedance has ended; the error states the reason.
+            LocalError: If called outside the ``with`` block.
         """
         self._check_open()
         identity = self._context.who.identity
@@ -126,14 +130,14 @@ class Impedance(BlockMotion):
         """Change stiffness and damping gradually, within a few tenths of a second.
 
         Args:
-            stiffness: Stiffness in Nm/rad, or for the tool in N/m and Nm/rad: one number for all axes, or shape (6,).
-                If None, it does not change.
-            damping: Damping ratio, one number or shape (6,). If None, it does not change.
+            stiffness: Stiffness in Nm/rad, or for springs of the tool in N/m and Nm/rad: one number for all axes, or
+                shape (6,). If None, the stiffness does not change.
+            damping: Damping ratio, one number or shape (6,). If None, the damping ratio does not change.
 
         Raises:
             BadValue: If a number is out of range. The gains do not change.
-            LinkError: If the impedance has ended; the error is its reason.
-            LocalError: If not called within the block.
+            LinkError: If the impedance has ended; the error states the reason.
+            LocalError: If called outside the ``with`` block.
         """
         self._check_open()
         old = self._messages.gains
@@ -144,10 +148,10 @@ class Impedance(BlockMotion):
 
 
 class _Messages(LinkDialogue):
-    """Dialogue with the program, which answers each state with the target, the gains or the posture.
+    """Dialogue with the program of an impedance. It answers each state with the target, the gains or the posture.
 
     Attributes:
-        target, posture: Target and posture sent last, shape (6,); None before the first target.
+        target, posture: Newest target and posture, shape (6,); None before the first target.
         gains: Stiffness and damping, shape (6,) each. Any thread may set them.
         has_posture: Whether the program accepts a posture.
     """
@@ -171,7 +175,7 @@ class _Messages(LinkDialogue):
         return self._goal[2]
 
     def lead(self, target: list[float], posture: list[float] | None) -> None:
-        """Move to another target."""
+        """Set another target and posture."""
         self._goal = (self._goal[0] % 1000 + 1, target, posture)
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:

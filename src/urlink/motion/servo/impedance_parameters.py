@@ -1,6 +1,6 @@
-"""Parameters of an impedance: their ranges, and the program that uses them.
+"""Parameters of an impedance, the ranges of the parameters, and the program that uses the parameters.
 
-Numbers that are out of range, or that have no effect with this frame or this firmware, are rejected.
+A number is rejected if it is out of range, or if it has no effect with the given frame or firmware.
 """
 
 from __future__ import annotations
@@ -27,43 +27,46 @@ from ...script.springs import Springs, ToolSprings, admittance, impedance
 from .force_control import AXES, DIRECT_TORQUE
 from .jog import FULL_SPEED, FrameName
 
-#: First firmware that computes with whole lists, for arms whose wrist measures force.
+#: First firmware whose URScript computes with whole lists. The program for arms with a force sensor in the wrist needs
+#: this.
 _MEASURED_FORCE = Since("5.10/10.0")
-#: Largest stiffness, of a joint in Nm/rad, and of the tool in N/m and Nm/rad. With more stiffness, an axis with its
-#: inertia would oscillate too fast to be damped in one cycle.
+#: Largest stiffness: for a joint in Nm/rad, for the tool in N/m and Nm/rad. With a larger stiffness, the oscillation of
+#: an axis would be too fast to be damped once per cycle.
 _STIFFEST, _STIFFEST_TOOL = (10_000.0,) * 6, (5_000.0,) * 3 + (200.0,) * 3
 #: Largest damping ratio.
 _DAMPEST = (3.0,) * 6
-#: Smallest allowed speed of an axis, in rad/s or m/s, and largest allowed error, in rad or m.
+#: Smallest speed limit of an axis, in rad/s or m/s, and largest allowed error, in rad or m (for joints, and for the
+#: tool).
 _SLOWEST, _FURTHEST, _FURTHEST_TOOL = 0.01, (3.0,) * 6, (0.5,) * 3 + (1.5,) * 3
-#: Largest share of its maximum torque that springs and dampers of a joint may use, and largest multiple of this torque
-#: for braking. Chosen so that the braking torque is always larger than the driving torque.
+#: Largest fraction of the maximum torque of a joint that springs and dampers may use. Largest braking torque, as a
+#: multiple of the torque limit of springs and dampers. Chosen so that the braking torque is always larger than the
+#: driving torque.
 _SHARE, _BRAKING = 0.5, 4.0
-#: Defaults for the tool: N/m and Nm/rad, N and Nm, m and rad. Chosen: as much as the vendor's torques can hold at half
-#: of the reach of a UR5e.
+#: Defaults for springs of the tool: stiffness in N/m and Nm/rad, largest force in N and Nm, largest error in m and rad.
+#: Chosen: as much as the vendor's torque limits permit at half of the reach of a UR5e.
 _TOOL_STIFFNESS = (500.0,) * 3 + (30.0,) * 3
 _TOOL_FORCE = (50.0,) * 3 + (5.0,) * 3
 _TOOL_ERROR = (0.1,) * 3 + (0.5,) * 3
-#: Largest force in N and torque in Nm.
+#: Largest allowed force in N and torque in Nm of springs of the tool.
 _STRONGEST = (200.0,) * 3 + (30.0,) * 3
 #: Default and largest posture stiffness, in Nm/rad, and largest speed of a joint with springs of the tool, in rad/s.
-#: Chosen: the default is a few hundredths of the springs of the tool. The speed is needed because near a singular pose
-#: a joint turns far while the tool moves little.
+#: Chosen: the default is a few hundredths of the stiffness of the springs of the tool. The speed limit is needed near a
+#: singular pose, because a joint turns far there while the tool moves little.
 _POSTURE, _TIGHTEST, _TURNING = 0.5, (200.0,) * 6, 1.5
-#: Position limit in rad for a joint without position limits.
+#: Position limit in rad that is used for a joint without position limits.
 _ENDLESS = 1e6
 
 
 @dataclass(frozen=True)
 class ImpedanceParameters:
-    """Numbers of `Motions.impedance`, as they were passed.
+    """Arguments of `Motions.impedance`, as the caller passed them.
 
     Attributes:
         frame: Frame of the springs.
-        stiffness, damping, torque, speed, error, force, posture_stiffness: One number for all, or shape (6,); None for
-            the default.
+        stiffness, damping, torque, speed, error, force, posture_stiffness: One number for all axes, or shape (6,); None
+            for the default.
         friction_compensation: Whether the controller compensates the friction of the joints.
-        watchdog: Longest time without a message from this computer, in s. After it, the robot ends the motion.
+        watchdog: Longest time without a message from this computer, in s. After this time, the robot ends the motion.
     """
 
     frame: FrameName
@@ -78,7 +81,7 @@ class ImpedanceParameters:
     watchdog: float
 
     def program(self, firmware: Firmware, model: Model | None) -> tuple[Writer, FloatArray, bool]:
-        """Return the writer of the program, its initial stiffness, and whether the program accepts a posture.
+        """Return the function that writes the program, the initial stiffness, and whether the program takes a posture.
 
         Raises:
             BadValue, LocalError: If an argument is rejected; see `Motions.impedance`.
@@ -137,7 +140,7 @@ class ImpedanceParameters:
         return partial(impedance, firmware, springs=springs), stiffness, tool is not None
 
     def _check_measured(self, firmware: Firmware) -> None:
-        """Raise unless springs of the tool can act through the force that its wrist measures."""
+        """Raise an error unless the program can use the measured force of the wrist for springs of the tool."""
         without = f"firmware {firmware} has no direct torque (5.23, 10.11 or later is required)"
         if firmware not in _MEASURED_FORCE:
             raise LocalError(
@@ -169,7 +172,7 @@ class ImpedanceParameters:
 
 
 def stiffness_of(frame: FrameName, values: ArrayLike) -> FloatArray:
-    """Check a stiffness: (6,), of the joints in Nm/rad, or of the tool in N/m and Nm/rad.
+    """Check a stiffness, and return it as (6,): for joints in Nm/rad, for the tool in N/m and Nm/rad.
 
     Raises:
         BadValue: If a number is out of range.
@@ -180,7 +183,7 @@ def stiffness_of(frame: FrameName, values: ArrayLike) -> FloatArray:
 
 
 def damping_of(frame: FrameName, values: ArrayLike) -> FloatArray:
-    """Check damping ratios, (6,).
+    """Check damping ratios, and return them as (6,).
 
     Raises:
         BadValue: If a number is out of range.
@@ -202,7 +205,7 @@ def _default(name: str, model: Model) -> FloatArray:
 def _within(
     values: ArrayLike, name: str, axes: Sequence[str], least: float, most: Sequence[float], unit: str = ""
 ) -> FloatArray:
-    """Check one number for all axes, or six numbers; each must be within its range."""
+    """Check one number for all axes, or six numbers. Each number must be within the range of its axis."""
     given = six(np.broadcast_to(values, 6) if np.ndim(values) == 0 else values, name)
     for at, (value, limit) in enumerate(zip(given.tolist(), most, strict=True)):
         check_number(value, f"{name}[{at}] ({axes[at]})", least, limit, unit)

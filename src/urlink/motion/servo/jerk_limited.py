@@ -1,17 +1,18 @@
-"""Jerk-limited motion of a joint from any state to rest, as fast as limits of speed, acceleration and jerk allow.
+"""Jerk-limited motion of joints to rest at a target, as fast as the limits of speed, acceleration and jerk allow.
 
-For one joint, with position x, speed v and acceleration a: if it brakes as hard as the limits allow, it comes to rest
-at some position. If the target is beyond this position, the joint is first pushed towards the target. A push uses the
-largest jerk until the largest acceleration is reached. Then the joint brakes. The longer the push, the further away the
-joint comes to rest, so the length of the push is the root of a growing function. If the push would reach the largest
-speed, the joint keeps this speed for as long as needed. This makes at most seven segments of constant jerk: up, hold,
-down, cruise, down, hold, up. If the target is in the other direction, everything is mirrored.
+The motion of one joint begins with a position x, a speed v and an acceleration a. If the joint brakes as hard as the
+limits allow, it comes to rest at a certain position. If the target is beyond this position, the joint is first pushed
+towards the target, and then brakes. A push uses the largest jerk until the largest acceleration is reached, and then
+keeps this acceleration. The longer the push, the further away the joint comes to rest. Therefore the duration of the
+push is the root of an increasing function. If the push would reach the largest speed, the joint keeps this speed for as
+long as needed. The motion has at most seven segments of constant jerk, in which the acceleration rises, is constant,
+falls, is zero (cruise), falls, is constant, and rises. If the target is in the other direction, all signs are reversed.
 
-Braking works in the same way, with the speed in place of the position: the acceleration grows, is held, and decreases.
+Braking has three segments of constant jerk: the deceleration increases, is constant, and decreases to zero.
 
-Each joint reaches its target in its own time. Joints are not slowed down to arrive together.
+Each joint reaches its target in its own time. Faster joints are not slowed down so that all joints arrive together.
 
-All numbers are plain floats, because one operation of numpy takes longer than all of this for one joint.
+All numbers are plain floats, because one numpy operation takes longer than the whole calculation for one joint.
 """
 
 from __future__ import annotations
@@ -27,21 +28,25 @@ from linkcore.arguments import check_number
 from ...arm.models import Model
 from ...arm.vectors import JOINTS, six_limits
 
-#: Maximum number of steps. Each at least halves the bracket, so nothing is left of it. Six are usual.
+#: Maximum number of steps of `root`. Each step at least halves the bracket, so 60 steps are always enough; six are
+#: usual.
 _MOST_STEPS = 60
 
 
 def root(function: Callable[[float], float], low: float, high: float, precision: float) -> float:
-    """Return the root of a growing function, by the method of Ridders.
+    """Return the root of an increasing function, with the method of Ridders.
 
-    In a bracket, an exponential function is fitted to both ends and the middle. Its root and the middle are the ends of
-    the next bracket. It converges quadratically, and halves the bracket at least (C. Ridders, "A New Algorithm for
-    Computing a Single Root of a Real Continuous Function", IEEE Transactions on Circuits and Systems, 1979).
+    The root is always between the two ends of a bracket. In each step, an exponential factor is fitted to the values at
+    both ends and in the middle, and gives an estimate of the root. The bracket is then reduced with the estimate and
+    the middle. The method converges quadratically, and at least halves the bracket in each step (C. Ridders, "A New
+    Algorithm for Computing a Single Root of a Real Continuous Function", IEEE Transactions on Circuits and Systems,
+    1979).
 
     Args:
-        function: Function that is not positive at `low` and not negative at `high`, except for rounding.
+        function: Increasing function. Except for rounding errors, it must not be positive at `low`, nor negative at
+            `high`.
         low, high: Ends of the bracket.
-        precision: Precision of the value of the function.
+        precision: Largest accepted distance of the function's value from 0.
     """
     at_low, at_high = function(low), function(high)
     for _ in range(_MOST_STEPS):
@@ -61,10 +66,10 @@ def root(function: Callable[[float], float], low: float, high: float, precision:
     return low
 
 
-#: Largest error of a push at its target, in rad: a millionth of the resolution of a set-point.
+#: Largest position error at the target, in rad: a millionth of the resolution of a set-point.
 _PRECISION = 1e-12
 
-#: Duration in s, and jerk in rad/s³, of a segment.
+#: Duration of a segment in s, and its jerk in rad/s³.
 _Segment = tuple[float, float]
 
 
@@ -80,11 +85,11 @@ class JointLimit:
 def joint_limits(
     model: Model | None, speed: ArrayLike, acceleration: ArrayLike, jerk: ArrayLike
 ) -> tuple[JointLimit, ...]:
-    """Return the limits of six joints, each given as one number for all joints or as (6,).
+    """Return the limits of six joints. Each limit is one number for all joints, or has shape (6,).
 
     Args:
-        model: Model of the arm, whose own limits must not be exceeded; None if the arm is unknown. The vendor publishes
-            no limits of acceleration: see `urlink.models`.
+        model: Model of the arm; None if it is unknown. The limits must not exceed those of the model. The vendor
+            publishes no limits of acceleration: see `urlink.models`.
         speed, acceleration, jerk: Limits in rad/s, rad/s² and rad/s³.
 
     Raises:
@@ -102,11 +107,11 @@ def joint_limits(
 
 
 class JointProfile:
-    """Motion of one joint from a state to rest at a target.
+    """Motion of one joint from an initial state to rest at a target.
 
     Args:
-        x, v, a: Position, speed and acceleration in rad, rad/s and rad/s², within the limits. The speed must also be
-            within the limits after the acceleration has decreased to 0 as fast as the jerk allows.
+        x, v, a: Initial position, speed and acceleration in rad, rad/s and rad/s². They must be within the limits. The
+            speed must also stay within the limits while the acceleration decreases to 0 as fast as the jerk allows.
         target: Target in rad.
         limit: Limits of the joint.
 
@@ -128,7 +133,10 @@ class JointProfile:
         self.duration = t
 
     def at(self, t: float) -> tuple[float, float, float]:
-        """Return position, speed and acceleration `t` s after the beginning; after the end, return the target."""
+        """Return position, speed and acceleration at `t` seconds after the beginning.
+
+        After the end, return the target at rest.
+        """
         for end, begin, x, v, a, jerk in self._pieces:
             if t < end:
                 return _after(x, v, a, jerk, t - begin)
@@ -136,13 +144,13 @@ class JointProfile:
 
 
 class TargetFilter:
-    """Six joints that move to targets, which may change at any time.
+    """Filter for six joints that move to targets. The targets may change at any time.
 
-    Each new target makes a new plan from the current positions, speeds and accelerations of the joints. So no limit is
-    exceeded, whatever the targets are and whenever they arrive.
+    After each new target, the motion is planned again from the current positions, speeds and accelerations of the
+    joints. So no limit is ever exceeded, even if targets jump or arrive irregularly.
 
     Args:
-        q: Positions at rest, shape (6,), in rad.
+        q: Initial positions of the arm at rest, shape (6,), in rad.
         limits: Limits of each joint.
 
     Attributes:
@@ -155,11 +163,11 @@ class TargetFilter:
         self.q, self.qd, self.qdd = list(q), [0.0] * 6, [0.0] * 6
         self.target = list(q)
         self._profiles = [JointProfile(x, 0.0, 0.0, x, limit) for x, limit in zip(q, self._limits, strict=True)]
-        #: time in s since each profile began
+        #: time in s since the profile of each joint began
         self._times = [0.0] * 6
 
     def aim(self, target: Sequence[float]) -> None:
-        """Move to another target, (6,) rad, from now on."""
+        """Plan the motion to another target, (6,) rad, from the current state."""
         for joint, (old, new) in enumerate(zip(self.target, target, strict=True)):
             if old != new:
                 self._plan(joint, new)
@@ -168,12 +176,12 @@ class TargetFilter:
     def restart(self, q: Sequence[float], qd: Sequence[float]) -> None:
         """Continue to the target from other positions, (6,) rad, at other speeds, (6,) rad/s.
 
-        The accelerations do not change, unless they would lead to more than the largest speeds.
+        The accelerations do not change, except if a joint would then exceed its largest speed.
         """
         self.q = list(q)
         for joint, (speed, limit) in enumerate(zip(qd, self._limits, strict=True)):
             self.qd[joint] = v = max(-limit.speed, min(speed, limit.speed))
-            # While it decreases to 0, the acceleration must not exceed the largest speed.
+            # While the acceleration decreases to 0, the speed must not exceed its limit.
             up, down = (math.sqrt(2.0 * limit.jerk * (limit.speed - each)) for each in (v, -v))
             self.qdd[joint] = max(-down, min(self.qdd[joint], up))
         for joint, x in enumerate(self.target):
@@ -185,26 +193,26 @@ class TargetFilter:
         self._times[joint] = 0.0
 
     def after(self, seconds: float) -> tuple[list[float], list[float]]:
-        """Return the positions, (6,) rad, and speeds, (6,) rad/s, `seconds` later."""
+        """Return the positions, (6,) rad, and the speeds, (6,) rad/s, at `seconds` after the current time."""
         states = [profile.at(t + seconds) for profile, t in zip(self._profiles, self._times, strict=True)]
         return [x for x, _, _ in states], [v for _, v, _ in states]
 
     def advance(self, seconds: float) -> None:
-        """Advance the time."""
+        """Advance the current time by `seconds`, and update the state of the joints."""
         for joint, profile in enumerate(self._profiles):
             self._times[joint] = t = self._times[joint] + seconds
             self.q[joint], self.qd[joint], self.qdd[joint] = profile.at(t)
 
 
 def _after(x: float, v: float, a: float, jerk: float, t: float) -> tuple[float, float, float]:
-    """Return the state after `t` s of constant jerk."""
+    """Return the state of a joint after `t` seconds of constant jerk."""
     return x + t * (v + t * (0.5 * a + t * jerk / 6.0)), v + t * (a + 0.5 * t * jerk), a + t * jerk
 
 
 def _brake(v: float, a: float, limit: JointLimit) -> tuple[_Segment, _Segment, _Segment]:
-    """Return the segments of the fastest motion to rest, at any position."""
+    """Return the segments of the fastest motion to rest. The position of rest is not given."""
     most, jerk = limit.acceleration, limit.jerk
-    # The direction follows from the speed that remains when the acceleration decreases to 0 at once.
+    # The direction of braking follows from the speed that would remain after the acceleration has decreased to 0.
     if v + 0.5 * a * abs(a) / jerk > 0.0:
         jerk, a, gain = -jerk, -a, v
     else:
@@ -219,7 +227,7 @@ def _brake(v: float, a: float, limit: JointLimit) -> tuple[_Segment, _Segment, _
 
 
 def _way(v: float, a: float, segments: Sequence[_Segment]) -> float:
-    """Return the distance that the segments cover, in rad."""
+    """Return the distance that a joint covers in these segments, in rad."""
     x = 0.0
     for t, jerk in segments:
         x, v, a = _after(x, v, a, jerk, t)
@@ -237,7 +245,10 @@ def _segments(x: float, v: float, a: float, target: float, limit: JointLimit) ->
 
 
 def _pushed(way: float, v: float, a: float, braking: Sequence[_Segment], limit: JointLimit) -> list[_Segment]:
-    """Return a push and the braking after it; `way` is at least the braking distance without a push."""
+    """Return the segments of a push and of the braking after it.
+
+    The distance `way` must be at least the braking distance without a push.
+    """
     most, jerk = limit.acceleration, limit.jerk
     until_held = max(most - a, 0.0) / jerk
     held_x, held_v, _ = _after(0.0, v, a, jerk, until_held)
@@ -250,7 +261,7 @@ def _pushed(way: float, v: float, a: float, braking: Sequence[_Segment], limit: 
         return held_x + held * (held_v + 0.5 * held * most), held_v + held * most, most
 
     def missing(seconds: float) -> float:
-        # `_way` of `_brake`, written out, because most of the time is spent here.
+        # The formula of `_way` for the segments of `_brake`, written out, because most of the time is spent here.
         x, speed, acceleration = pushed(seconds)
         square = max(jerk * speed + 0.5 * acceleration * acceleration, 0.0)
         if square <= most * most:
@@ -263,10 +274,10 @@ def _pushed(way: float, v: float, a: float, braking: Sequence[_Segment], limit: 
             x += held * (0.5 * most * most / jerk + 0.5 * most * held) + fading
         return x + t * (speed + t * (0.5 * acceleration - t * jerk / 6.0)) - way
 
-    # Braking may itself begin with a push. The whole push is at least as long as this part.
+    # Braking may begin with a segment in the direction of the push. The push is at least as long as this segment.
     (first, its_jerk), (held, _), _ = braking
     least = first + held if its_jerk > 0.0 else 0.0
-    # At the end of the longest push, the acceleration decreases to 0 just when the largest speed is reached.
+    # After the longest push, the acceleration reaches 0 exactly when the joint reaches its largest speed.
     slack = max(limit.speed - v + 0.5 * a * a / jerk, 0.0)
     if jerk * slack <= most * most:
         peak = math.sqrt(jerk * slack)

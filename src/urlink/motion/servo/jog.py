@@ -1,4 +1,4 @@
-"""Speeds of the joints or of the tool over a link: jogging, and a speed for a given time (`HeldSpeed`)."""
+"""Motions at speeds of the joints or of the tool, over a link: jogging, and a speed for a given time (`HeldSpeed`)."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from .setpoints import LinkDialogue
 FrameName = Literal["joints", "base", "tool"]
 
 _JOINTS, _TOOL = (1.05,) * 6, (0.25,) * 3 + (0.8,) * 3
-#: Full speed for keys and buttons in each frame, in rad/s, or in m/s and rad/s: the defaults of the vendor's `movej`
-#: and `movel`.
+#: Full speed for keys and buttons in each frame, in rad/s for joints, in m/s and rad/s for the tool. The values are the
+#: defaults of the vendor's `movej` and `movel`.
 FULL_SPEED: Mapping[FrameName, tuple[float, ...]] = {"joints": _JOINTS, "base": _TOOL, "tool": _TOOL}
 
 _REST = np.zeros(6)
-#: Longest time in s that an arm may continue at a speed that is no longer wanted. It is the longest duration of a
-#: speed that is sent as one program, and the watchdog of a longer one.
+#: Longest time in s for which an arm may continue at a speed without a message from this computer. A speed with a
+#: duration up to this time is sent as one program. For a longer duration, this time is the watchdog.
 UNLED = 0.5
 
 
@@ -45,15 +45,15 @@ class _Jogging(LinkDialogue):
 
     Args:
         frame: Frame of the speeds.
-        timeout: Time in s until they expire.
-        write: Function that makes the lines of the program.
+        timeout: Time in s until the speeds expire.
+        write: Function that returns the lines of the program.
     """
 
     def __init__(self, frame: FrameName, timeout: float, write: Writer) -> None:
         super().__init__(write)
         self._frame = frame
         self._timeout = timeout
-        #: the speeds, and the monotonic time in s when they were set; any thread may assign both at once
+        #: the speeds, and the monotonic time in s at which they were set; any thread may assign both together
         self.newest: tuple[FloatArray, float] | None = None
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
@@ -74,7 +74,7 @@ class _Jogging(LinkDialogue):
 
 @slider(jog=SliderEffect.SCALED)
 class Jog(BlockMotion):
-    """Moves the arm at speeds from a person. `robot.motion.jog` returns it.
+    """Motion at speeds that a person sets, for example with keys; see `robot.motion.jog`.
 
     Use it as a ``with`` block. Leaving the block stops the arm.
 
@@ -102,18 +102,19 @@ class Jog(BlockMotion):
         self._arm = identity.arm
 
     def move(self, speeds: Numbers) -> None:
-        """Move at these speeds until others are set, or until `timeout` seconds have passed.
+        """Move at these speeds until other speeds are set, or until `timeout` seconds have passed.
 
-        The call does not wait.
+        This method does not wait.
 
         Args:
-            speeds: Speeds, shape (6,): of the joints in rad/s, or of the tool in m/s along and rad/s about the axes of
-                the frame.
+            speeds: Speeds, shape (6,): of the joints in rad/s, or of the tool in m/s along the axes of the frame and in
+                rad/s about these axes.
 
         Raises:
-            BadValue: If these are not six finite numbers, or faster than the arm can be. The previous speeds remain.
+            BadValue: If `speeds` is not six finite numbers, or if a speed is faster than the arm can move. The previous
+                speeds remain.
             SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: If the jog has ended.
-            LocalError: If not called within the block.
+            LocalError: If called outside the ``with`` block.
         """
         self._check_open()
         values = (
@@ -127,19 +128,19 @@ class Jog(BlockMotion):
         """Brake. The next `move` moves the arm again.
 
         Raises:
-            LinkError: If `move` raises it.
+            LinkError: If `move` raises this error.
         """
         self.move(_REST)
 
 
 class _Holding(LinkDialogue):
-    """Dialogue that answers each state with one speed, until this speed has been held for its time.
+    """Dialogue that answers each state with the same speeds, until their duration has passed.
 
     Args:
         section: Lock of the robot.
-        write: Function that makes the lines of the program.
+        write: Function that returns the lines of the program.
         speeds: Speeds of the joints, or of the tool in the base frame, shape (6,).
-        duration: Duration from the first message on, in s.
+        duration: Duration after the first message, in s.
     """
 
     def __init__(
@@ -152,7 +153,7 @@ class _Holding(LinkDialogue):
         self._began: float | None = None
 
     def change(self, speeds: FloatArray, duration: float) -> bool:
-        """Hold another speed from the next state on; return False if the last message was already decided."""
+        """Answer with other speeds from the next state on; return False if the last message was already decided."""
         with self._section:
             if not self.is_over:
                 self._speeds, self._duration, self._began = speeds, duration, None
@@ -166,23 +167,23 @@ class _Holding(LinkDialogue):
             return message(self._speeds.tolist())
 
     def part(self, now: float) -> float:
-        """Return the fraction of its time that has passed."""
+        """Return the fraction of the duration that has passed."""
         with self._section:
             return 0.0 if self._began is None else (now - self._began) / self._duration
 
 
 @slider(speed_joints=SliderEffect.SCALED)
 class HeldSpeed(Motion):
-    """Speed for a duration longer than `UNLED`, over a link.
+    """Motion at one speed for a duration longer than `UNLED`, over a link.
 
-    The robot brakes on its own when it has received no message from this computer for `UNLED` seconds.
+    The robot brakes on its own if it has received no message from this computer for `UNLED` seconds.
 
     Args:
         context: The robot.
         name: Name of the motion.
-        is_tool: Whether it is a speed of the tool in the base frame, rather than of the joints.
+        is_tool: Whether the speeds are those of the tool in the base frame, rather than those of the joints.
         speeds, acceleration, duration: See `Motions.speed_joints`.
-        open_link: Function that opens the link to its program.
+        open_link: Function that opens the link to the program.
     """
 
     def __init__(
@@ -204,7 +205,7 @@ class HeldSpeed(Motion):
         LinkedProgram(life, context, self._dialogue, open_link).begin()
 
     def change(self, name: str, speeds: FloatArray, acceleration: float, duration: float) -> bool:
-        """Continue at another speed, without a stop; return False if this needs another program."""
+        """Continue at another speed without a stop; return False if the other speed needs another program."""
         if self.done or (name, acceleration) != (self.name, self._acceleration):
             return False
         return self._dialogue.change(speeds, duration)

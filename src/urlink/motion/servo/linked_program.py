@@ -1,12 +1,11 @@
-"""A program on the robot with a link to this computer, and the messages that are sent to it.
+"""Program on the robot with a link to this computer, and the messages to this program.
 
-A real-time state arrives in each cycle of the controller and is answered with a message, so the controller's clock sets
-the pace. A `LinkDialogue` decides the messages. Each message contains the cycle of the newest state. By this cycle, the
-program recognizes and ignores messages that are too old (`urlink.script.links`). Therefore messages that were delayed
-in the socket of a hung controller do not move the arm.
+In each cycle of the controller, a real-time state arrives and is answered with a message. So the controller's clock
+sets the pace. A `LinkDialogue` decides the messages. Each message contains the cycle of the newest state. The program
+compares this cycle with its own cycle count, and ignores messages that are too old (`urlink.script.links`). Therefore
+messages that were delayed in the socket of a hung controller do not move the arm.
 
-If no state arrives, the interlock closes after one second, which ends every motion. The program on the robot brakes
-earlier.
+If no states arrive, the interlock ends every motion after one second. The program on the robot brakes earlier.
 """
 
 from __future__ import annotations
@@ -29,12 +28,12 @@ from ..links.messages import dated
 from .following import stands
 from .setpoints import LinkDialogue
 
-#: Longest time in s until the program must have connected.
+#: Time in s within which the program must connect.
 CONNECT_TIMEOUT = 5.0
-#: Time in s after a lost connection. Within it, the reason may arrive over the other interfaces.
+#: Time in s to wait after a lost connection, because the reason may still arrive over the other interfaces.
 _GRACE = 1.0
-#: Time in s after the last message, on the controller's clock. After it, an arm at rest ends the motion even if the end
-#: of the program was not reported.
+#: Time in s after the last message, on the controller's clock. After this time, the motion ends if the arm is at rest,
+#: even if the end of the program was not reported.
 _END_TIMEOUT = 1.0
 
 
@@ -47,17 +46,24 @@ class Link(Protocol):
 
     @property
     def endpoint(self) -> Any:
-        """Address or registers, and token, for the text of the program: of the kind that the dialogue takes."""
+        """Address or registers, and token, for the text of the program.
+
+        The dialogue determines the type.
+        """
 
     @property
     def is_up(self) -> bool:
         """Whether the program can receive messages."""
 
     def poll(self, has_begun: bool) -> bool:
-        """Check whether the link is up now; `has_begun`: whether the controller has started the program."""
+        """Check whether the link is up now.
+
+        Args:
+            has_begun: Whether the controller has started the program.
+        """
 
     def send(self, data: bytes) -> None:
-        """Send a message; raises `LinkError` if the connection is lost."""
+        """Send a message; raise `LinkError` if the connection is lost."""
 
     def received(self) -> bytes:
         """Return the bytes from the program since the last call; raise `ConnectionLost` if the connection is lost."""
@@ -66,21 +72,21 @@ class Link(Protocol):
         """Return the error for a link that does not come up."""
 
     def close(self, *, farewell: bool) -> None:
-        """Close the link; with `farewell`, the last message is still delivered. Idempotent."""
+        """Close the link; with `farewell`, deliver the last message first. Idempotent."""
 
 
 class LinkedProgram:
-    """Program of one motion.
+    """Program of one motion on the robot, its link to this computer, and the messages over this link.
 
     Args:
         life: Life cycle of the motion.
         context: The robot.
         dialogue: Dialogue that decides the messages.
-        open_link: Function that opens the link to the program; may raise `LinkError`.
-        tolerance: Largest distance of any joint, in rad, from the position where the arm came to rest in a pause. It is
-            checked after the pause.
-        on_linked: Function that is called when the first message has been sent, and when no more messages will be sent.
-            It may be called more than once.
+        open_link: Function that opens the link to the program. It may raise `LinkError`.
+        tolerance: Largest distance of any joint, in rad, that the arm may be moved during a pause. After the pause, the
+            position is compared with the position where the arm came to rest.
+        on_linked: Function that urlink calls when the first message has been sent, and when no more messages will be
+            sent. The function may be called more than once.
     """
 
     def __init__(
@@ -106,7 +112,7 @@ class LinkedProgram:
         self._controller = ControllerTimer(self._cycle)
         #: time in s on the controller's clock from the first state to the newest one
         self._passed = 0.0
-        #: monotonic time in s when the newest state was processed; set after the first state
+        #: monotonic time in s at which the newest state was processed; set after the first state
         self._seen: float
         self._owes_farewell = False  # whether the link has to deliver its last message when it is closed
 
@@ -115,7 +121,7 @@ class LinkedProgram:
 
         Raises:
             SafetyStop, NotRunning: If the arm may not be moved now. No port is opened and nothing is sent.
-            LinkError: If it cannot start for another reason. Its life cycle has then ended.
+            LinkError: If the program cannot be started for another reason. The life cycle of the motion has then ended.
         """
         life, context = self._life, self._context
         life.brake = self._brake
@@ -126,8 +132,8 @@ class LinkedProgram:
             self._subscription = context.realtime.subscribe(on_state, policy=latest)
             life.on_end(self._release)
             context.programs.start(
-                # It needs no start permission: after the end of the motion, its connection is refused, or its token is
-                # not written.
+                # The program needs no start permission, because it cannot move the arm after the end of the motion: its
+                # connection is then refused, or its token is not written.
                 context.programs.own(self._dialogue.body(link.endpoint), asks=False),
                 life,
                 is_linked=True,
@@ -144,31 +150,33 @@ class LinkedProgram:
             raise
 
     def say(self, data: bytes) -> None:
-        """Send data to the program, through the interlock and only while the motion runs.
+        """Send data to the program if the interlock permits it and the motion is running.
 
         Raises:
             SafetyStop, NotRunning: If the arm may not be moved now.
             ConnectionLost: If the connection is lost.
-            LinkError: If the motion has ended; the error is its reason.
+            LinkError: If the motion has ended. The error states the reason.
         """
         self._context.channel.setpoint(lambda: self._transmit(data))
 
     def feed(self, data: bytes, watchdog: float) -> None:
-        """Send a message from the user's loop, unless no states arrive.
+        """Send a message from the user's loop, unless the newest state is too old.
 
-        If no state has arrived for `watchdog` seconds, the message would be too old for the program, and is not sent. A
-        hung controller would read it later, and drive the arm to its position with full speed. After twice that time,
-        the program has braked or the controller hangs, so the motion ends.
+        If no state has arrived for `watchdog` seconds, the message is not sent, because it would be too old for the
+        program. A hung controller would read such a message later, and would drive the arm at full speed to the
+        set-point. If no state has arrived for twice this time, the program has braked or the controller hangs.
+        Therefore the motion ends.
 
         Raises:
             ConnectionLost: If no state has arrived for twice the time of the watchdog.
-            LinkError: If `say` raises it.
+            LinkError: If `say` raises this error.
         """
         silence = self._clock() - self._seen
         if silence > 2.0 * watchdog:
             error = ConnectionLost(
-                f"the robot has sent no state for {silence:.2f} s, more than twice watchdog={watchdog:g} s, so its "
-                "program accepts no message; it brakes on its own. A larger watchdog= tolerates longer delays"
+                f"the robot has sent no state for {silence:.2f} s, more than twice watchdog={watchdog:g} s, so the "
+                "program on the robot accepts no messages; it brakes on its own. A larger watchdog= tolerates "
+                "longer delays"
             )
             self._life.fail(error, brake=True)
             raise error
@@ -177,9 +185,10 @@ class LinkedProgram:
 
     @property
     def is_paused(self) -> bool:
-        """Whether the program is paused, so that it accepts no messages.
+        """Whether the program is paused. A paused program accepts no messages.
 
-        The newest state is also checked, because a user's loop may have it before the thread that answers states.
+        The newest state is also checked, because a user's loop may receive a state before the thread that answers
+        states.
         """
         newest = self._context.realtime.latest
         return self._pause.holds or (newest is not None and is_paused(newest))
@@ -187,9 +196,9 @@ class LinkedProgram:
     def _transmit(self, data: bytes) -> None:
         if self._life.error is not None:
             raise self._life.error
-        # The message may have been composed before another thread ended the program, and a register holds only its
-        # newest message. It may also have been composed before a thread stops the program for a task that was
-        # cancelled. After such a task, only the stop may be sent.
+        # Another thread may have ended the program after this message was composed. In a register, the message would
+        # then overwrite the stop. A task that started the motion may also have been cancelled meanwhile. Then only the
+        # stop may be sent.
         if (self.is_finishing or not self._life.is_wanted) and data != self._dialogue.farewell:
             return
         assert self._link is not None
@@ -198,7 +207,7 @@ class LinkedProgram:
     def _dated(self, data: bytes) -> bytes:
         """Add the date of the newest state and the number of pauses to a message of the dialogue.
 
-        A program that ends on its own requests each of its points by number, so its messages need no date.
+        A program that ends on its own requests each point by its number. Messages to such a program need no date.
         """
         if not self._dialogue.farewell:
             return data
@@ -210,7 +219,7 @@ class LinkedProgram:
         Raises:
             LinkError: If the message could not be sent.
         """
-        # Fired before sending, because the program may end before this thread continues.
+        # Fire the event before sending, because the program may end before this thread continues.
         if self._life.fire(Event.BRAKE, at=self._passed) and self._dialogue.farewell:
             self._owes_farewell = True
             self.say(self._dialogue.farewell)
@@ -221,7 +230,7 @@ class LinkedProgram:
         return self._life.happened(Event.BRAKE) is not None
 
     def lose(self, error: LinkError) -> None:
-        """Handle a lost connection. The primary interface may still report the reason why the program stopped."""
+        """Handle a lost connection. The primary interface might still report the reason why the program stopped."""
         lost = ConnectionLost(f"the connection of the program on the robot was lost; it brakes on its own: {error}")
         self._life.fire(Event.LOSE, lost, at=self._clock())
 
@@ -235,7 +244,8 @@ class LinkedProgram:
         except LinkError as error:
             self._life.fail(error, brake=True)
         except Exception as error:
-            # An unexpected exception must not leave the arm without set-points, nor a thread waiting forever.
+            # After an unexpected exception, the arm must not be left without set-points, and no thread may wait
+            # forever.
             self._life.fail(error, brake=True)
             raise
 
@@ -263,7 +273,8 @@ class LinkedProgram:
 
     def _talk(self, link: Link, state: RealtimeState, now: float) -> None:
         if self._pause.look(state):
-            # A paused program reads nothing. A message would be queued, and be too old when the program continues.
+            # A paused program reads no messages. A message would be queued, and would be too old when the program
+            # continues.
             return
         if self._pause.is_over:
             self._pause.is_over = False
@@ -319,15 +330,16 @@ class LinkedProgram:
             self._context.channel.setpoint(lambda: link.send(self._dated(self._dialogue.farewell)), is_stop=True)
             if not self.is_paused:
                 return
-        # A paused program reads nothing, and would continue for some cycles before it reads this message.
+        # A paused program reads no messages. After the pause, it would continue for some cycles before it reads this
+        # one.
         self._context.programs.stop(self._life)
 
     def _release(self) -> None:
         self._on_linked()
-        self._on_linked = _nothing  # the callback refers to the handle, and the handle to the program
+        self._on_linked = _nothing  # breaks a reference cycle through the handle
         subscription, self._subscription = self._subscription, None
         if subscription is not None:
-            # Do not wait, because its callback may be running in this thread.
+            # Do not wait for the callback of the subscription, because it may be running in this thread.
             subscription.close(0)
         if self._link is not None:
             self._link.close(farewell=self._owes_farewell)

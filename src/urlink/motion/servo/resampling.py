@@ -1,9 +1,9 @@
 """Resampling of targets or of a schedule to set-points, one for each cycle of the controller.
 
-Each real-time state that arrives is answered with the next set-point, so the controller's clock sets the pace, whenever
-targets arrive. While set-points are missed, the program on the robot coasts (`urlink.motion.servo.setpoints`). Usually
-the position after coasting is close to the next set-point of the source, and the difference is faded out. If it is not
-close, the source begins again from this position, with the remaining speed.
+Each real-time state that arrives is answered with the next set-point. So the controller's clock sets the pace, even if
+targets arrive irregularly. While set-points are missing, the program on the robot coasts
+(`urlink.motion.servo.setpoints`). If the position after coasting is close to the next set-point of the source, which is
+usual, the difference is faded out. Otherwise the source begins again from the position and the speed after coasting.
 """
 
 from __future__ import annotations
@@ -25,16 +25,20 @@ from .following import Rest
 from .jerk_limited import JointLimit, TargetFilter
 from .setpoints import Servoing, SetpointStream
 
-#: Largest gap in any joint that is faded out, in rad and rad/s. Chosen: at 1 rad/s it is the gap after 20 ms without
-#: set-points, with the default watchdog.
+#: Largest differences of any joint that are faded out, in position (rad) and in speed (rad/s). Chosen: at 1 rad/s, the
+#: position differs this much after 20 ms without set-points, with the default watchdog.
 _WIDEST_GAP, _LARGEST_CHANGE = 0.005, 0.2
-#: Time constant of closing a gap, in s: after this time, a third of the gap is left. Chosen: longer than set-points are
-#: missed on a busy computer, so that a coasting program does not overshoot.
+#: Time constant for fading out a difference, in s: after this time, a third of the difference is left. Chosen: longer
+#: than the usual gaps between set-points on a busy computer, so that a coasting program does not overshoot.
 _SETTLING = 0.1
 
 
 class ResampledSource(Protocol):
-    """Source of set-points. Times are times of states, on the controller's clock; `rate` is the rate of the program."""
+    """Source of set-points.
+
+    Each `time` is the time of a state on the controller's clock. `rate` is the number of seconds that pass for the
+    program per second of the controller.
+    """
 
     @property
     def has_targets(self) -> bool:
@@ -44,24 +48,26 @@ class ResampledSource(Protocol):
         """Begin with the arm at rest at `q`, (6,) rad."""
 
     def skip(self, time: float, seconds: float) -> tuple[list[float], list[float]]:
-        """Skip missed set-points, while the program on the robot coasted for `seconds`.
+        """Skip missed set-points.
+
+        The program on the robot has coasted meanwhile: it has covered the distance of `seconds` at the last speed.
 
         Returns:
             Current positions, (6,) rad, and speeds, (6,) rad/s.
         """
 
     def restart(self, time: float, q: Sequence[float], qd: Sequence[float]) -> None:
-        """Continue after coasting, from positions `q`, (6,) rad, at speeds `qd`, (6,) rad/s, of the program."""
+        """Continue after coasting, from the positions `q`, (6,) rad, and the speeds `qd`, (6,) rad/s."""
 
     def at(self, time: float, rate: float) -> tuple[list[float], list[float]]:
-        """Return the set-point that answers the state of this time: (6,) rad, and (6,) rad/s."""
+        """Return the positions, (6,) rad, and speeds, (6,) rad/s, of the set-point that answers the state of `time`."""
 
     def accept(self, time: float, rate: float) -> None:
-        """Record that the set-point of this time was sent."""
+        """Record that the set-point for the state of `time` was sent."""
 
 
 class ResampledSetpoints:
-    """Answers states with set-points.
+    """Part of a dialogue that answers each state with a set-point from a source.
 
     Args:
         servoing: Parameters for following set-points.
@@ -74,7 +80,7 @@ class ResampledSetpoints:
         self._timer = ProgramTimer(self._stream.cycle)
         self._rest = Rest("the servo")
         self._has_begun = False
-        #: difference between the last set-point and the set-point of the source, in rad
+        #: difference between the last set-point that was sent and the set-point of the source, in rad
         self._gap = [0.0] * 6
 
     def resume(self, state: RealtimeState) -> None:
@@ -87,7 +93,7 @@ class ResampledSetpoints:
             self._gap = [0.0] * 6
 
     def answer(self, state: RealtimeState, now: float) -> bytes:
-        """Return the message for the program on the robot.
+        """Return the message for the program on the robot, as the answer to a state.
 
         Raises:
             LinkTimeout: If the arm does not come to rest before the first set-point.
@@ -112,14 +118,15 @@ class ResampledSetpoints:
         q, qd = self._source.at(state.time, rate)
         q = [a + b for a, b in zip(q, gap, strict=True)]
         if self._stream.excess(q, now) is not None:
-            # The joints cannot move this far in the time that has passed here: nothing is sent, and the robot coasts.
+            # The joints cannot move this far in the time that has passed on this computer. So nothing is sent, and the
+            # robot coasts.
             return b""
         self._source.accept(state.time, rate)
         self._gap = gap
         return self._stream.send(q, [a - b / _SETTLING for a, b in zip(qd, gap, strict=True)], now)
 
     def _catch_up(self, missed: int, time: float, now: float) -> None:
-        """Handle that the program on the robot coasted for `missed` cycles."""
+        """Continue from the position of the arm after the program on the robot has coasted for `missed` cycles."""
         here, speeds = self._stream.coasted_to(missed)
         if self._stream.excess(here, now) is not None:
             # According to this computer's clock, this many cycles cannot have passed.
@@ -133,20 +140,20 @@ class ResampledSetpoints:
 
 
 class FilteredTargets:
-    """Source that makes the set-points of a servo from the last target of `Servo.send`.
+    """Source that calculates the set-points of a servo from the newest target of `Servo.send`.
 
     Args:
         limits: Limits of each joint.
         cycle: Cycle of the controller, in s.
 
     Attributes:
-        newest: Last target, shape (6,), in rad; set by the thread that calls `Servo.send`.
+        newest: Newest target, shape (6,), in rad. The thread that calls `Servo.send` sets it.
     """
 
     def __init__(self, limits: Sequence[JointLimit], cycle: float) -> None:
         self.newest: list[float] | None = None
         self._limits, self._cycle = limits, cycle
-        self._filter: TargetFilter  # made by `begin`, which is called first
+        self._filter: TargetFilter  # set by `begin`, which is called first
 
     @property
     def has_targets(self) -> bool:
@@ -163,7 +170,7 @@ class FilteredTargets:
         self._filter.restart(q, qd)
 
     def at(self, time: float, rate: float) -> tuple[list[float], list[float]]:
-        assert self.newest is not None  # `has_targets`
+        assert self.newest is not None  # checked by `has_targets`
         self._filter.aim(self.newest)
         return self._filter.after(rate * self._cycle)
 
@@ -171,35 +178,35 @@ class FilteredTargets:
         self._filter.advance(rate * self._cycle)
 
 
-#: Time in s; waypoints that are closer in time count as one.
+#: Shortest time between two waypoints, in s. Waypoints that are closer in time count as one waypoint.
 _CLOSEST = 1e-3
-#: Time in s for the rest of the path if set-points were missed until the times of all waypoints had passed.
+#: Time in s for the rest of the path if the times of all waypoints have passed while set-points were missing.
 _LATE = 0.1
-#: Maximum number of times that waypoints are postponed, and the fraction of the time before the first of them that each
-#: time adds. In total, this is up to 400 times the time before the first.
+#: Maximum number of postponements of new waypoints. Each postponement lengthens the time before the first new waypoint
+#: by this fraction. In total, this time can grow to nearly 400 times its original length.
 _PUT_OFF, _LATER = 16, 0.45
 
 _Waypoint = tuple[float, list[float]]
 
 
 class Schedule:
-    """Source that makes the set-points of a servo from waypoints with times on the robot's clock.
+    """Source that calculates the set-points of a servo from waypoints with times on the robot's clock.
 
-    A cubic curve in joint space passes through all future waypoints, from the current set-point and its speed, to rest
-    at the last waypoint. The speeds at the waypoints in between are chosen as for a `Trajectory`. Each new waypoint
-    makes a new curve from there, so the speed never jumps.
+    A cubic curve in joint space begins at the current set-point with its speed, passes through all future waypoints,
+    and ends at rest at the last waypoint. The speeds at the waypoints in between are chosen as for a `Trajectory`. Each
+    new waypoint starts a new curve from the current set-point and its speed, so the speed never jumps.
 
     The rules are the same as in the interpolation controller of UMI, a program for learning from demonstrations. A
-    waypoint replaces all waypoints of the same time or later. A waypoint whose time has passed changes nothing. A
-    waypoint that cannot be reached in time is reached later. All future waypoints are reached later if the arm is not
-    at its set-point because set-points were missed. One difference: UMI's controller moves straight from pose to pose,
+    waypoint replaces all waypoints with the same time or a later time. A waypoint is ignored if its time has passed. If
+    a waypoint cannot be reached in time, it is postponed. If set-points were missed, so that the arm is not at its
+    set-point, all future waypoints may be postponed. One difference: UMI's controller moves straight from pose to pose,
     with a jump in speed at each pose.
 
     Args:
-        model: Model of the arm, whose limits apply; None if the arm is unknown.
+        model: Model of the arm, for its limits; None if the model is unknown.
         cycle: Cycle of the controller, in s.
-        delay: Time in s from a state until the arm is at the set-point that answers this state.
-        section: Lock of the robot, because waypoints and states arrive in different threads.
+        delay: Time in s from a state until the arm reaches the set-point that answers this state.
+        section: Lock of the robot. It is needed because waypoints and states arrive in different threads.
     """
 
     def __init__(
@@ -210,26 +217,27 @@ class Schedule:
         self._delay = delay
         self._section = section
         self._waypoints: list[_Waypoint] = []
-        #: curve that begins at `_origin` on the robot's clock
+        #: curve that begins at the time `_origin` on the robot's clock
         self._curve: Trajectory | None = None
         self._origin: float
-        #: time of the last set-point; None before the first
+        #: time of the last set-point; None before the first set-point
         self._now: float | None = None
 
     def add(self, q: list[float], at: float, time: float, here: Sequence[float]) -> float | None:
-        """Be at `q`, (6,) rad, at a time on the robot's clock.
+        """Add a waypoint: joint positions and a time on the robot's clock.
 
         Args:
             q: Joint positions of the waypoint, shape (6,), in rad.
             at: Time of the waypoint, in s.
             time: Time of the newest state, in s.
-            here: Target positions of the arm, shape (6,), in rad. Used if it has not begun.
+            here: Target positions of the arm, shape (6,), in rad. Used if the schedule has not begun.
 
         Returns:
-            Time at which the arm will be there: `at`, or later if it needs more time; None if this time has passed.
+            Time at which the arm will reach the waypoint: `at`, or later if the arm needs more time. None if the time
+            `at` has passed.
 
         Raises:
-            BadValue: If the curve leaves the range of a joint, or if no curve was found that the arm can follow.
+            BadValue: If the curve leaves the range of a joint, or if urlink finds no curve that the arm can follow.
         """
         with self._section:
             anchor = self._now if self._now is not None else time + self._delay
@@ -237,7 +245,7 @@ class Schedule:
                 return None
             waypoints = [each for each in self._waypoints if anchor + _CLOSEST < each[0] < at - _CLOSEST]
             q0, qd0 = self._sample(anchor) if self._now is not None else (list(here), [0.0] * 6)
-            # A waypoint that is almost due is left out, because the curve begins there anyway.
+            # A waypoint that is almost due is left out, because the new curve begins at almost the same point.
             self._plan(anchor, q0, qd0, [*waypoints, (at, q)], len(waypoints))
             return self._waypoints[-1][0]
 
@@ -258,7 +266,7 @@ class Schedule:
         self._set_out(time + self._delay, q, [0.0] * 6)
 
     def restart(self, time: float, q: Sequence[float], qd: Sequence[float]) -> None:
-        """Continue from `q` at speeds `qd`."""
+        """Continue from the positions `q` with the speeds `qd`."""
         self._set_out(time + self._delay - self._cycle, q, qd)
 
     def _set_out(self, anchor: float, q: Sequence[float], qd: Sequence[float]) -> None:
@@ -268,7 +276,7 @@ class Schedule:
             self._plan(anchor, q, qd, ahead or [(anchor + _LATE, self._waypoints[-1][1])], 0)
 
     def skip(self, time: float, seconds: float) -> tuple[list[float], list[float]]:
-        """Return the current positions and speeds. Time passes even if no set-points are sent."""
+        """Return the current positions and speeds. The time of a schedule passes even if no set-points are sent."""
         with self._section:
             return self._sample(time + self._delay - self._cycle)
 
@@ -278,7 +286,7 @@ class Schedule:
             return self._sample(time + self._delay)
 
     def accept(self, time: float, rate: float) -> None:
-        """Record that the set-point of this time was sent."""
+        """Record that the set-point for the state of `time` was sent."""
         self._now = time + self._delay
 
     # ------------------------------------------------------------------------------------------------
@@ -293,7 +301,7 @@ class Schedule:
     ) -> None:
         """Plan the curve from the current set-point through waypoints.
 
-        If necessary, waypoints from number `new` on are postponed.
+        If the arm cannot follow the curve, the waypoint with index `new` and all later waypoints are postponed.
         """
         times = [time for time, _ in waypoints]
         places = np.array([list(q), *(place for _, place in waypoints)])
@@ -315,7 +323,7 @@ class Schedule:
 
 
 def _curve(times: np.ndarray, places: np.ndarray, qd: Sequence[float]) -> Trajectory:
-    """Return a curve through places at times, with speeds `qd` at the beginning, and at rest at the end."""
+    """Return a curve through positions at times. It begins with the speeds `qd` and ends at rest."""
     speeds = Trajectory.from_arrays(times, places).qd.copy()
     speeds[0] = qd
     return Trajectory.from_arrays(times, places, speeds)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from linkcore.arguments import check_number
 from linkcore.errors import BadValue, LocalError
+from linkcore.threads import Newest
 
 from ...arm.vectors import JOINTS, Numbers
 from ...command.program_time import ProgramTimer, reported_scaling
@@ -29,22 +29,22 @@ from .resampling import FilteredTargets, ResampledSetpoints, Schedule
 from .servo_delay import measure
 from .setpoints import LinkDialogue, Servoing
 
-#: Number of intervals that the statistics keep: a minute and a half at 500 Hz.
+#: Number of newest intervals that the statistics use: 100 s at 500 Hz.
 _REMEMBERED = 50_000
-#: Time in s between two set-points above which an error mentions the delay.
+#: Interval between two set-points, in s, above which an error message mentions the delay.
 _LATE = 0.05
-#: Largest distance in rad between the first set-point and the target position of the arm.
+#: Largest distance of any joint between the first set-point and the target position of the arm, in rad.
 _NEAR = 0.05
 
 
 @dataclass(frozen=True)
 class ServoStatistics:
-    """Statistics of how regularly set-points, or targets, were sent.
+    """Statistics of the intervals between set-points, or between targets, that were sent.
 
     Attributes:
-        count: Number of set-points that were sent.
-        mean: Mean interval between two of them, in s.
-        p50, p99, max: Median, 99th percentile and maximum of the deviations of the interval from the period, in s.
+        count: Number of set-points or targets that were sent.
+        mean: Mean interval between two set-points or targets, in s.
+        p50, p99, max: Median, 99th percentile and maximum of the deviations of intervals from the period, in s.
         late: Number of intervals longer than one and a half periods.
     """
 
@@ -57,27 +57,29 @@ class ServoStatistics:
 
 
 class _Leading(LinkDialogue):
-    """Dialogue that answers each state with the next set-point of a target filter or schedule.
+    """Dialogue of a servo. It answers each state with the next set-point of a target filter or schedule.
 
-    Before the first set-point, and if the loop sends its own set-points, it answers with `WAIT_MESSAGE`.
+    Before the first set-point, it answers with `WAIT_MESSAGE`. If the user's loop sends the set-points, states after
+    the first set-point are not answered.
 
     Args:
         servoing: Parameters for following set-points.
-        resampled: Object that makes the set-points. If None, the loop sends its own set-points.
+        resampled: Object that calculates the set-points. If None, the user's loop sends the set-points.
     """
 
     def __init__(self, servoing: Servoing, resampled: ResampledSetpoints | None) -> None:
         super().__init__(servoing.body)
         self.watchdog = servoing.watchdog
-        #: set once; any thread may do so
+        #: any thread may set this attribute, but only once
         self.resampled = resampled
         self._timer = ProgramTimer(1.0 / servoing.firmware.rate)
-        #: lag of the program behind the controller's clock, in s, and monotonic time in s of this measurement
+        #: lag of the program's time behind the controller's clock, in s, and the monotonic time of this measurement, in
+        #: s
         self._behind = self._at = 0.0
         #: target positions of the arm before the first message, in rad
         self.here: list[float] | None = None
         self.has_begun = False
-        #: whether the next set-point is checked like the first one, because the program was paused
+        #: whether the next set-point is checked like the first one, because the program has been paused
         self.begins_anew = False
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
@@ -91,7 +93,7 @@ class _Leading(LinkDialogue):
         return WAIT_MESSAGE
 
     def program_time(self, now: float) -> float:
-        """Return monotonic time in s, minus the time that the program has lost by stops and scaling."""
+        """Return monotonic time in s, minus the time that the program has lost through pauses and speed scaling."""
         return now - self._behind - (1.0 - self._timer.rate) * max(now - self._at, 0.0)
 
     def resume(self, state: RealtimeState) -> None:
@@ -111,7 +113,7 @@ class _Leading(LinkDialogue):
     }
 )
 class Servo(BlockMotion):
-    """Sends the set-points of your loop. `robot.motion.servo` returns it.
+    """Servo: your loop sends set-points or targets, and the arm follows; see `robot.motion.servo`.
 
     Use it as a ``with`` block. Send a set-point in each cycle of the controller, or in each cycle of your loop. With a
     target filter, send a target whenever you have a new one. Leaving the block stops the arm.
@@ -143,10 +145,11 @@ class Servo(BlockMotion):
         self._last: list[float] | None = None
         #: times in s and positions in rad of the newest set-points, and of one set-point older than `LONGEST_PERIOD`
         self._recent: list[tuple[float, list[float]]] = []
-        self._began: float  # when the first set-point was sent
+        self._began: float  # time at which the first set-point was sent
         self._sent_at: float
         self._count = self._late = 0
-        self._intervals: deque[float] = deque(maxlen=_REMEMBERED)
+        # Between set-points, in s. The thread in the block adds them.
+        self._intervals: Newest[float] = Newest(_REMEMBERED)
         self._model = model
         self._limit = SpeedLimit(servoing.speeds, 1.0 / rate)
         self._cycle = cycle
@@ -154,11 +157,11 @@ class Servo(BlockMotion):
     def send(self, q: Numbers) -> None:
         """Send one set-point; with a target filter, a target.
 
-        The first set-point must be within 0.05 rad of the target position of the arm. After that, no joint may be
-        driven faster than it can move in the time of the program (`scaling`). `urlink.motion.moves.speed_limit`
-        describes which set-points are rejected, and how irregular a loop may be. While the program is paused, nothing
-        is sent. The next set-point after a pause is checked like the first one. With a target filter, any target within
-        the joint limits is accepted.
+        The first set-point must be within 0.05 rad of the target position of the arm. After that, a set-point is
+        rejected if a joint cannot move to it in the time that has passed for the program (`scaling`).
+        `urlink.motion.moves.speed_limit` describes this check, and how irregular a loop may be. While the program is
+        paused, nothing is sent. The next set-point after a pause is checked like the first one. With a target filter,
+        any target within the joint limits is accepted.
 
         Args:
             q: Joint positions, shape (6,), in rad.
@@ -166,7 +169,7 @@ class Servo(BlockMotion):
         Raises:
             BadValue: If `q` is not six finite numbers, is too fast, or exceeds a limit of the arm. Nothing is sent.
             SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: If the servo has ended.
-            LocalError: If not called within the block, or if waypoints were scheduled in the block.
+            LocalError: If called outside the ``with`` block, or if waypoints were scheduled in the block.
         """
         self._check_open()
         if self._schedule is not None:
@@ -189,24 +192,25 @@ class Servo(BlockMotion):
     def schedule(self, target: Numbers | Joint | Linear, at: float) -> float | None:
         """Schedule a waypoint for a time on the robot's clock.
 
-        Times are on the same clock as `RealtimeState.time`. Between waypoints, the joints move along a smooth curve,
-        from the current set-point through all future waypoints, to rest at the last one. A waypoint replaces all
-        waypoints of the same time or later. A pose is converted to the joint positions closest to the previous
-        waypoint. The closer the poses are, the straighter the tool moves between them.
+        Times are on the same clock as `RealtimeState.time`. The joints move along a smooth curve from the current
+        set-point through all future waypoints, to rest at the last waypoint. A waypoint replaces all waypoints with the
+        same time or a later time. A pose is converted to the joint positions that are closest to the previous waypoint.
+        The smaller the distance between two poses, the straighter the tool moves between them.
 
         Args:
             target: Joint positions, shape (6,), in rad, or a `Joint`, or a `Linear` with a pose in the base frame.
-            at: Time in s.
+            at: Time in s on the robot's clock.
 
         Returns:
             Time at which the arm will arrive: `at`, or later if the limits of speed and acceleration of the arm require
-            more time. None if this time has passed; then nothing is changed.
+            more time. None if the time `at` has passed. Then the waypoint is ignored.
 
         Raises:
-            BadValue: If these are not finite numbers, are out of the range of a joint, or require a jump of a joint.
+            BadValue: If an argument is not finite, if a joint position is out of range, or if a pose requires a jump of
+                a joint.
             Unreachable: If a pose is out of reach.
             SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: If the servo has ended.
-            LocalError: If not called within the block, with a target filter, or after `send`.
+            LocalError: If called outside the ``with`` block, in a servo with a target filter, or after `send`.
         """
         self._check_open()
         if self._targets is not None:
@@ -218,7 +222,8 @@ class Servo(BlockMotion):
         if self._schedule is None:
             schedule = Schedule(self._model, self._cycle, self._delay, self._context.section.lock)
             self._dialogue.resampled = ResampledSetpoints(self._servoing, schedule)
-            # Set this last: if it were set earlier, an interruption could leave a schedule that moves nothing.
+            # Set this attribute last. Otherwise an interruption could leave a schedule that is not connected to the
+            # dialogue.
             self._schedule = schedule
         schedule = self._schedule
         here = state.q_target.tolist()
@@ -247,23 +252,25 @@ class Servo(BlockMotion):
         return q
 
     def measure_delay(self, joint: int = 5, amplitude: float = 0.05, duration: float = 1.0) -> float:
-        """Measure by how much the arm lags behind its set-points. THE ARM MOVES.
+        """Measure the delay of the arm behind its set-points. THE ARM MOVES.
 
-        One joint moves there and back. Use it in its own block. Pass the result to ``follow(delay=)`` and
-        ``servo(delay=)``. It depends on `lookahead_time` and `gain`.
+        One joint moves to another position and back. Use a separate ``with`` block for this measurement. Pass the
+        result to ``follow(delay=)`` and ``servo(delay=)``. The delay depends on `lookahead_time` and `gain`.
 
         Args:
             joint: Number of the joint, 0 to 5.
             amplitude: Amplitude of the motion in rad, with its sign.
-            duration: Duration of the motion there and back, in s. Measuring takes half a second more.
+            duration: Duration of the motion in both directions together, in s. The measurement takes half a second
+                longer.
 
         Returns:
-            Time in s from a state until the arm is at the set-point that answered this state.
+            Time in s from a state until the arm reaches the set-point that answered this state.
 
         Raises:
-            BadValue: If the motion is beyond the range or the speed of the joint.
-            LinkError: If the arm does not follow, or if the servo has ended; then it is the reason.
-            LocalError: If not called within the block, with a target filter, or while waypoints are scheduled.
+            BadValue: If the motion exceeds the range or the largest speed of the joint.
+            LinkError: If the arm does not follow its set-points, or if the servo has ended. Then the error states the
+                reason.
+            LocalError: If called outside the ``with`` block, in a servo with a target filter, or after `schedule`.
         """
         self._check_open()
         if self._targets is not None or self._schedule is not None:
@@ -283,19 +290,21 @@ class Servo(BlockMotion):
         if self._last is None:
             self._dialogue.has_begun = True
             self._began = now
+            self._count = 1
         else:
             interval = now - self._sent_at
-            self._intervals.append(interval)
+            # Counted first, so that there are never more intervals than set-points in `stats`.
+            self._count += 1
+            self._intervals.add(interval)
             if interval * self.rate > 1.5:
                 self._late += 1
-        self._count += 1
         self._last, self._sent_at = values, now
 
     @property
     def scaling(self) -> float:
         """Speed scaling of programs on the robot, as a fraction from 0 to 1, in the newest state.
 
-        Your own loop has to let its time pass more slowly by this factor. Otherwise the arm falls behind.
+        Your loop must multiply the time that passes by this factor. Otherwise the arm falls behind.
 
         Raises:
             LinkTimeout, RemoteError: If no state arrives.
@@ -304,11 +313,11 @@ class Servo(BlockMotion):
 
     @property
     def stats(self) -> ServoStatistics:
-        """Statistics of how regularly set-points, or targets, were sent.
+        """Statistics of the intervals between set-points, or between targets, that were sent.
 
-        Deviations are from the last 50000 intervals.
+        The deviations are those of the last 50000 intervals.
         """
-        intervals = np.array(self._intervals)
+        intervals = np.array(self._intervals.copy())
         if not intervals.size:
             return ServoStatistics(self._count, 0.0, 0.0, 0.0, 0.0, self._late)
         deviations = np.abs(intervals - 1.0 / self.rate)
@@ -317,11 +326,12 @@ class Servo(BlockMotion):
         return ServoStatistics(self._count, mean, p50, p99, float(deviations.max()), self._late)
 
     def _speeds(self, before: list[float] | None, values: list[float], now: float) -> list[float]:
-        """Return the speeds since the set-point `before`, if any, (6,) in rad/s.
+        """Return the speeds with which the program continues from the newest set-point, (6,) in rad/s.
 
-        The program continues at these speeds if the next set-point is late. They are no faster than over the last
-        `LONGEST_PERIOD`, and in no other direction: after this computer was delayed, a current set-point may directly
-        follow an old one, and their difference is not a speed.
+        The program continues at these speeds if the next set-point is late. For each joint, the speed is the smaller of
+        the speed since the previous set-point and the mean speed over the last `LONGEST_PERIOD`. It is 0 if these two
+        have different directions. The reason: if this computer was delayed, a current set-point may directly follow an
+        old one, and their difference is not a real speed.
         """
         recent = self._recent
         if before is None:
@@ -335,12 +345,12 @@ class Servo(BlockMotion):
     def _since(self, at: float, q: list[float]) -> list[float]:
         """Return the speeds from an earlier set-point to the newest one, (6,) in rad/s."""
         now, values = self._recent[-1]
-        # Two set-points that are sent at the same time are still executed in two cycles.
+        # Even if two set-points are sent at the same time, the program executes them in two cycles.
         seconds = max(now - at, self._cycle)
         return [(there - here) / seconds for here, there in zip(q, values, strict=True)]
 
     def _lateness(self) -> str:
-        """Return the end of the message about a set-point that is too far away, if the loop was late."""
+        """Return the end of an error message about a set-point that is too far away; empty unless the loop was late."""
         late = self._context.clock() - self._sent_at
         if late <= max(1.5 / self.rate, _LATE):
             return ""
@@ -350,17 +360,20 @@ class Servo(BlockMotion):
         )
 
     def _check_step(self, last: list[float] | None, values: list[float], now: float) -> None:
-        """Reject a step that is too large: from the last set-point, or at first and after a pause from the arm."""
+        """Reject a set-point that is too far from the last set-point, or from the arm if there is none.
+
+        After a pause, the distance from the arm is checked again.
+        """
         if last is not None:
             excess = self._limit.excess(last, values, now)
             if excess is not None:
                 raise BadValue(f"{excess}{self._lateness()}")
             return
         here = self._dialogue.here
-        assert here is not None  # the block opens after the first message was sent
+        assert here is not None  # the block opens after the first message has been sent
         for joint, (value, before) in enumerate(zip(values, here, strict=True)):
             if abs(value - before) > _NEAR:
                 raise BadValue(
-                    f"q[{joint}] ({JOINTS[joint]}) is {value:.4f} rad, {abs(value - before):.4f} rad from where the "
-                    f"arm is; at most {_NEAR:.4f} rad"
+                    f"q[{joint}] ({JOINTS[joint]}) is {value:.4f} rad, {abs(value - before):.4f} rad from the "
+                    f"position of the arm; at most {_NEAR:.4f} rad"
                 )

@@ -1,4 +1,4 @@
-"""Lag of an arm behind its set-points, measured with a wave of one joint."""
+"""Measurement of the lag of an arm behind its set-points. One joint moves to another position and back."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from linkcore.errors import LinkError
 from ...arm.vectors import FloatArray
 from ...protocol.realtime.packets import RealtimeState
 
-#: Maximum number of steps of Newton's method for the delay; four are usual.
+#: Maximum number of steps of Newton's method that finds the delay; four steps are usual.
 _STEPS = 8
-#: Longest delay in s. A longer one means that the arm does not follow.
+#: Longest delay in s. A longer delay means that the arm does not follow its set-points.
 _LONGEST = 0.5
-#: Largest fraction of the wave that a delay may leave unexplained.
+#: Largest accepted difference between the arm and the delayed wave, as a fraction of the amplitude.
 _UNEXPLAINED = 0.2
 
 
@@ -27,17 +27,17 @@ def measure(
     amplitude: float,
     duration: float,
 ) -> float:
-    """Move a joint there and back, and measure its lag.
+    """Move a joint to another position and back, and measure the lag of the arm.
 
     Args:
-        states: States of the robot, each as it arrives.
+        states: States of the robot, each when it arrives.
         send: Function that sends a set-point, (6,) rad.
         joint: Number of the joint.
         amplitude: Amplitude of the motion in rad, with its sign.
-        duration: Duration of the motion there and back, in s.
+        duration: Duration of the motion in both directions together, in s.
 
     Returns:
-        Time in s from a state until the arm is at the set-point that answered this state.
+        Time in s from a state until the arm reaches the set-point that answered this state.
 
     Raises:
         LinkError: If the arm does not follow.
@@ -57,7 +57,7 @@ def measure(
         if t > duration + _LONGEST:
             break
     times, actual = np.array(seen).T
-    # Relative to the first positions, because sensors have an offset.
+    # Make the positions relative to the first position, because sensors have an offset.
     times, actual = times - times[0], actual - actual[0]
     delay = 0.0
     for _ in range(_STEPS):
@@ -66,7 +66,7 @@ def measure(
     rest = float(np.abs(wave(times - delay) - actual).max())
     if not 0.0 <= delay <= _LONGEST or rest > _UNEXPLAINED * abs(amplitude):
         raise LinkError(
-            f"the arm does not follow its set-points: with a delay of {delay:.3f} s, it is up to {rest:.4f} rad off a "
-            f"wave of {amplitude:g} rad"
+            f"the arm does not follow its set-points: with a delay of {delay:.3f} s, the arm deviates by up to "
+            f"{rest:.4f} rad from a wave of {amplitude:g} rad"
         )
     return delay

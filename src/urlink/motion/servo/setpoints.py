@@ -1,6 +1,6 @@
-"""Set-points: how the streaming program follows them, and the stream that sends one for each cycle.
+"""Parameters for following set-points on the robot, and the stream that sends one set-point in each cycle.
 
-A `LinkDialogue` decides the messages for this program, and for the other programs with a link to this computer.
+A `LinkDialogue` decides the messages for each program with a link to this computer.
 """
 
 from __future__ import annotations
@@ -18,16 +18,19 @@ from ..moves.speed_limit import SpeedLimit
 
 
 class LinkDialogue(ABC):
-    """Decides the messages for a program, from the bytes that it sends and the states of the robot. Does no I/O.
+    """Dialogue with a program: decides the messages from the program's bytes and the robot's states.
+
+    It does no I/O.
 
     Args:
-        write: Function that makes the lines of the program for its link.
+        write: Function that returns the lines of the program for its link.
 
     Attributes:
-        farewell: Message that ends the program and brakes; empty if the program ends on its own.
-        is_over: Whether no message is left to send. The BRAKE of the motion's life then follows.
+        farewell: Message after which the program brakes and ends; empty if the program ends on its own.
+        is_over: Whether no message is left to send. Then the event BRAKE of the motion's life cycle follows.
         survives_its_program: Whether the program may end on its own before the dialogue has ended.
-        watchdog: Longest time without a message until the program brakes, in s, for error messages; None if unknown.
+        watchdog: Longest time without a message, in s, after which the program brakes; used in error messages. None if
+            it is unknown.
     """
 
     watchdog: float | None = None
@@ -46,16 +49,16 @@ class LinkDialogue(ABC):
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
         """Return the message that answers a state; raise `LinkError` if the motion cannot continue."""
 
-    def resume(self, state: RealtimeState) -> None:  # noqa: B027 -- most dialogues do nothing then
-        """Continue after a pause. The arm is at rest where the program has left it, or close to this position."""
+    def resume(self, state: RealtimeState) -> None:  # noqa: B027 -- most dialogues do nothing after a pause
+        """Continue after a pause. The arm is at rest at the position where it was paused, or close to it."""
 
-    def conclude(self) -> None:  # noqa: B027 -- only one dialogue has something left to do then
-        """Handle that the program has ended on its own."""
+    def conclude(self) -> None:  # noqa: B027 -- only one dialogue has to do something here
+        """Record that the program has ended on its own."""
 
 
 @dataclass(frozen=True)
 class Servoing:
-    """Parameters for following set-points.
+    """Parameters with which the program on the robot follows set-points.
 
     Attributes:
         firmware: Firmware of the controller.
@@ -74,26 +77,26 @@ class Servoing:
 
     @property
     def _coasting(self) -> float:
-        """Time of coasting, in s: three periods, so that a loop slower than the controller moves the arm evenly."""
+        """Duration of coasting, in s: at least three periods, so that a slow loop still moves the arm evenly."""
         return max(COASTING, 3.0 * self.period)
 
     @property
     def coastable(self) -> int:
-        """Largest number of cycles of coasting by the program on the robot."""
+        """Largest number of cycles for which the program on the robot coasts."""
         return missable(min(self.watchdog, self._coasting), self.firmware.rate)
 
     @property
     def late(self) -> float:
-        """Lateness in s that may be made up for at once, because the robot has coasted meanwhile."""
+        """Delay in s that the next set-point may make up for at once, because the robot has coasted meanwhile."""
         return self.coastable / self.firmware.rate
 
     def coasting(self, missed: int) -> float:
-        """Return the number of cycles at full speed that cover the same distance as coasting for `missed` cycles."""
+        """Return the number of cycles at the initial speed that cover as much as coasting for `missed` cycles."""
         n = min(missed, self.coastable)
         return n - n * (n + 1) / (2.0 * self.coastable)
 
     def share(self, missed: int) -> float:
-        """Return the fraction of the full speed after coasting for `missed` cycles."""
+        """Return the fraction of the initial speed that is left after coasting for `missed` cycles."""
         return 1.0 - min(missed, self.coastable) / self.coastable
 
     def body(self, link: ReverseSocket | InputRegisters) -> list[str]:
@@ -110,11 +113,12 @@ class Servoing:
 
 
 class SetpointStream:
-    """The last set-point that was sent, and how far the program on the robot has continued from it.
+    """Stream of set-points: the last set-point, and the distance that the robot has coasted since then.
 
-    While set-points are missed, this program continues at the speed of the last one and slows down steadily: it coasts
-    (`urlink.script.streaming`). It counts its own cycles, which take longer while motion is scaled down. Other times
-    are on the controller's clock. `now` is a monotonic time in s here.
+    While set-points are missing, the program on the robot coasts: it continues at the speed of the last set-point and
+    slows down steadily (`urlink.script.streaming`). The program counts its own cycles, which take longer while the
+    speed scaling is below 100 %. Other times are on the controller's clock. The argument `now` is a monotonic time in
+    s.
 
     Args:
         servoing: Parameters for following set-points.
@@ -131,7 +135,7 @@ class SetpointStream:
         self._limit = SpeedLimit(servoing.speeds, self.cycle, late=servoing.late)
         self.q: list[float] = []
         self.qd: list[float] = []
-        #: time in s since the last set-point, on the controller's clock and for the program; set by `begin`
+        #: time in s since the last set-point, on the controller's clock and on the program's clock; set by `begin`
         self._since: float
         self._since_scaled: float
 
@@ -146,16 +150,16 @@ class SetpointStream:
 
     @property
     def is_due(self) -> bool:
-        """Whether the cycle of the last set-point has ended, so that the next one may be sent."""
+        """Whether the cycle of the last set-point has ended, so that the next set-point may be sent."""
         return self._since >= 0.5 * self.cycle
 
     @property
     def missed(self) -> int:
-        """Number of cycles of the program without a set-point since the last one."""
+        """Number of program cycles without a set-point since the last set-point."""
         return max(round(self._since_scaled / self.cycle) - 1, 0)
 
     def coasted_time(self, missed: int) -> float:
-        """Return the time in s at the last set-point's speed that covers as much as coasting for `missed` cycles."""
+        """Return the time in s at constant speed that covers the same distance as coasting for `missed` cycles."""
         return self._servoing.coasting(missed) * self.cycle
 
     def coasted_to(self, missed: int) -> tuple[list[float], list[float]]:
@@ -168,7 +172,7 @@ class SetpointStream:
         return self._limit.excess(self.q, q, now)
 
     def send(self, q: list[float], qd: list[float], now: float) -> bytes:
-        """Return the bytes of a set-point, which becomes the last one."""
+        """Return the message with a set-point, and record it as the last set-point."""
         self._limit.take(self.q, q, now)
         self.q, self.qd, self._since, self._since_scaled = q, qd, 0.0, 0.0
         return setpoint(q, qd)

@@ -1,7 +1,8 @@
-"""A trajectory sent point by point: the robot interpolates on its own, and requests each next point early enough.
+"""Trajectory that is sent point by point: the robot requests each point in advance, and interpolates on its own.
 
-It is for links that are too slow or too irregular to stream over. A point has to arrive while the arm moves to the
-previous one, so the time between two points should be longer than an answer takes.
+Use it if the connection is too slow or too irregular for a stream of set-points. Each point must arrive while the arm
+moves to the previous point. Therefore the time between two points should be longer than the time from a request to its
+answer.
 """
 
 from __future__ import annotations
@@ -20,16 +21,17 @@ from ...script.text import number
 from ..moves.trajectory import Trajectory
 from .following import Following, Tolerances
 
-#: Longest time in s without a line from the program, which sends a heartbeat. After it, the program counts as lost.
+#: Longest time in s without a line from the program, which also sends heartbeats. After this time, the program counts
+#: as lost.
 _SILENCE = 3.0
 #: Maximum number of bytes in a line.
 _LONGEST_LINE = 32
 
 
 class WaypointServer(Following):
-    """Dialogue that sends the points of a trajectory when they are requested.
+    """Dialogue that sends each point of a trajectory when the program on the robot requests this point.
 
-    The first point is the position of the arm, so that the arm leaves it without a jump.
+    The first point that it sends is the current position of the arm, so that the arm starts without a jump.
 
     Args:
         firmware: Firmware of the controller.
@@ -52,13 +54,14 @@ class WaypointServer(Following):
         self._next_time = float(trajectory.time[1])
         self._line = b""
         self._requests: list[int] = []
-        #: advance of the arm in a pause, in s on the trajectory
+        #: distance that the arm moved along the trajectory during a pause, as a time on the trajectory in s
         self._skipped = 0.0
-        #: time in s on the trajectory of the end of the pause, and difference of the arm from there, (6,) rad
+        #: time on the trajectory at which the arm resumed after a pause, in s, and its offset from the trajectory
+        #: there, (6,) rad
         self._resumed: tuple[float, list[float]] | None = None
         self._received_at: float | None = None
         self._has_arrived = False
-        #: time in s that has passed on the trajectory; None before it has begun
+        #: time in s that has passed on the trajectory; None before the arm begins to move
         self._t: float | None = None
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
@@ -68,7 +71,7 @@ class WaypointServer(Following):
             BadValue: If the arm is not at the beginning of the trajectory.
             ConnectionLost: If the program has sent nothing for too long.
             LinkTimeout: If the arm does not come to rest.
-            ProgramStopped: If the program has sent something that is not a request.
+            ProgramStopped: If the program has sent a line that is not a request.
             ToleranceExceeded: If the arm is too far from the trajectory.
         """
         passed, scaled = self._timer.passed(state, now)
@@ -89,7 +92,7 @@ class WaypointServer(Following):
         return b"".join(answers)
 
     def conclude(self) -> None:
-        """Handle that the program has ended on its own, so that the arm has reached the last point."""
+        """Record that the program has ended on its own. The arm has then reached the last point."""
         self._has_arrived = True
 
     def _read(self, data: bytes, now: float) -> None:
@@ -106,7 +109,7 @@ class WaypointServer(Following):
                 raise ProgramStopped(f"the program on the robot sent {line[:50]!r}; expected a number") from None
 
     def _answer(self, request: int, state: RealtimeState, now: float) -> bytes | None:
-        """Return the answer to one request; None if the request has to wait."""
+        """Return the answer to one request; None if the answer must be sent later."""
         if request == waypoints.ARRIVED:
             self._has_arrived = True
             return b""
@@ -120,13 +123,13 @@ class WaypointServer(Following):
         if request == 0:
             return self._point(0, self._check_start(state)) if self._rest.is_reached(state, now) else None
         if request == 2 and self._t is None:
-            # The program has received the first point to move to, and moves from now on.
+            # The program has received point 1, the first point that it moves to, so the arm moves from now on.
             self._t = self._passed = 0.0
         elif self._t is not None and request > 2:
-            # The program moves to the point before the last requested point.
+            # When the program requests point n, the arm moves from point n - 3 to point n - 2.
             time = self._trajectory.time
             self._t = max(self._t, float(time[request - 3]))
-            # After the last point, the program requests nothing more.
+            # After the request that follows the last point, the program requests nothing more.
             self._next_time = float(time[request - 2]) if request < len(time) else math.inf
         if request < len(self._trajectory):
             return self._point(request, self._trajectory.q[request].tolist())
@@ -136,7 +139,10 @@ class WaypointServer(Following):
         return _line(waypoints.NO_MORE, zeros)
 
     def resume(self, state: RealtimeState) -> None:
-        """Continue after a pause, from the position of the arm: the program requests how far it has advanced."""
+        """Continue after a pause, from the position of the arm.
+
+        The program then asks how far the arm has moved along the path.
+        """
         super().resume(state)
         self._received_at = None
         if self._t is not None:
@@ -147,7 +153,7 @@ class WaypointServer(Following):
             self._resumed = self._t, [a - b for a, b in zip(state.q_target.tolist(), q, strict=True)]
 
     def desired(self, t: float) -> tuple[list[float], list[float]]:
-        """Return the positions in rad, and velocities in rad/s, that the arm should have at a time."""
+        """Return the desired positions, (6,) rad, and velocities, (6,) rad/s, at the time `t` on the trajectory."""
         q, qd = super().desired(t)
         if self._resumed is None:
             return q, qd

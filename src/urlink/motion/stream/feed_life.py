@@ -1,9 +1,9 @@
-"""Life of a point stream, as this computer sees it: whether the program accepts points, and what was requested.
+"""Phases of a point stream on this computer: whether the program accepts points, and which requests are pending.
 
-The program accepts points in epochs. A cut opens an epoch: from rest, while braking, or in the middle of the points
-that it replaces. The program accepts a cut, or refuses it because it came too late. The epoch is closed when the
-program has no more points. `TRANSITIONS` contains all of this, and docs/architecture.md shows the table. An event that
-is not in the table cannot happen, and raises an error.
+The program accepts points in epochs. An epoch is opened by a cut: a message that replaces the buffered points, or lets
+the program continue from rest or from braking. The program accepts a cut, or refuses the cut because it came too late.
+An epoch is closed when the program has no more points. `TRANSITIONS` contains these rules as a table, which
+docs/architecture.md shows. If an event is not possible in the current phase, an error is raised.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from types import MappingProxyType
 
 
 class FeedPhase(enum.Enum):
-    """Whether the program accepts points."""
+    """Phase of a stream: whether the program accepts points."""
 
-    STARTING = "starting"  # the arm has to come to rest first
+    STARTING = "starting"  # the arm must come to rest first
     CLOSED = "closed"  # the arm brakes or is at rest, and the program accepts no points
-    RESUMING = "resuming"  # the program was sent a cut, to continue from braking or rest
+    RESUMING = "resuming"  # a cut was sent, to continue from braking or from rest
     OPEN = "open"  # the program accepts points
-    CLEARED = "cleared"  # like OPEN, and the user has requested the end of the points
-    REPLACING = "replacing"  # the program was sent a cut, to replace its points by others or by none
-    REPLACING_CLEARED = "replacing cleared"  # like REPLACING, from CLEARED
+    CLEARED = "cleared"  # like OPEN, but the user has ended the points
+    REPLACING = "replacing"  # a cut was sent, to replace the points by others or by none
+    REPLACING_CLEARED = "replacing cleared"  # like REPLACING, but the phase before was CLEARED
 
 
 class FeedEvent(enum.Enum):
@@ -32,8 +32,8 @@ class FeedEvent(enum.Enum):
     RESUME = "resume"  # a cut is sent, to continue
     REPLACE = "replace"  # a cut is sent, for other points
     ACCEPT = "accept"  # the program has accepted the cut
-    REFUSE = "refuse"  # the program has refused the cut, which came too late
-    CLEAR = "clear"  # the points end here, as the user has requested
+    REFUSE = "refuse"  # the program has refused the cut, because it came too late
+    CLEAR = "clear"  # the points end now, because the user has requested this
     CLOSE = "close"  # the program brakes or is at rest
 
 
@@ -65,10 +65,10 @@ _CUT = (FeedPhase.RESUMING, FeedPhase.REPLACING, FeedPhase.REPLACING_CLEARED)
 
 
 class FeedLife:
-    """State of one stream.
+    """Current phase of one stream, which events change.
 
     Attributes:
-        phase: Whether its program accepts points.
+        phase: Whether the program accepts points.
     """
 
     def __init__(self) -> None:
@@ -88,7 +88,7 @@ class FeedLife:
         """Record an event.
 
         Raises:
-            RuntimeError: If it cannot happen now.
+            RuntimeError: If the event is not possible in the current phase.
         """
         after = TRANSITIONS.get((self.phase, event))
         if after is None:

@@ -1,4 +1,4 @@
-"""Motions of a group of arms: the handle, and point streams on one time base."""
+"""Motions of a group of arms: the handle of such a motion, and point streams with a common time."""
 
 from __future__ import annotations
 
@@ -27,17 +27,18 @@ E = TypeVar("E", bound=Exception)
 
 #: Largest difference in s between the ends of the points of two arms.
 _SAME_TIME = 1e-6
-#: Time in s for planning the paths of all arms onto other points. Chosen: two arms take a few ms. If it takes longer,
-#: some arms change to their new points later.
+#: Time in s that is reserved for planning the paths of all arms onto other points. Chosen: for two arms, planning takes
+#: a few ms. If planning takes longer, some arms change to their new points later.
 _PLANNING = 0.01
-#: Time in s until the handle is notified of the end of a stream, and of its reason.
+#: Longest time in s to wait until the handle is notified of the end of a stream and of the reason.
 _REASON = 1.0
 
 
 class GroupMotion(Motion):
     """Handle of a motion of several arms.
 
-    It ends when the motions of all arms have ended. If one motion ends early, all motions are ended.
+    The group motion ends when the motions of all arms have ended. If the motion of one arm fails or is cancelled, the
+    motions of all arms are ended.
 
     Attributes:
         motions: Motions of the arms, in the order of the group.
@@ -53,8 +54,8 @@ class GroupMotion(Motion):
         lives = [motion._life for motion in motions]
         life.brake = partial(end_all, lives, f"cancelled with its group of {len(lives)}")
         for number, each in enumerate(lives):
-            # Called in a dedicated thread: the thread that ends a motion may hold the section of its robot, and must
-            # not wait for the section of another robot.
+            # Call `_look` in a dedicated thread. The thread that ends a motion may hold the lock of its robot, and must
+            # not wait for the lock of another robot.
             each.on_end(partial(stopping.call, self._look, number))
 
     def _measured(self) -> float:
@@ -76,11 +77,11 @@ class GroupMotion(Motion):
 
 
 class GroupStream(GroupMotion):
-    """A stream of points for several arms. `Group.stream` returns it.
+    """Stream of points for several arms; see `Group.stream`.
 
-    Use it as a ``with`` block. It works like `PointStream`, but each call contains the points of all arms. All arms
-    begin at the same moment, and no arm goes ahead of another. All advance as slowly as the slowest arm. They stop on
-    their paths while one arm has no points, or is paused.
+    Use it as a ``with`` block. This class works like `PointStream`, but each call contains the points of all arms. All
+    arms begin at the same moment, and no arm goes ahead of another. All arms advance as slowly as the slowest arm. If
+    one arm has no points or is paused, all arms stop on their paths.
 
     Attributes:
         motions: Streams of the arms.
@@ -92,9 +93,10 @@ class GroupStream(GroupMotion):
         self, life: Lifecycle, streams: Sequence[PointStream], names: Sequence[str], stopping: CallbackThread
     ) -> None:
         super().__init__(life, streams, names, stopping)
-        #: block of all streams; set by `__enter__`
+        #: exit stack that closes all streams; set by `__enter__`
         self._block: contextlib.ExitStack
-        #: held while points are handed to all arms, or removed from all; re-entrant, for signal handlers
+        #: lock that is held while points are passed to all arms or removed from all arms; re-entrant, for signal
+        #: handlers
         self._handing = threading.RLock()
 
     @starts_motion
@@ -102,7 +104,7 @@ class GroupStream(GroupMotion):
         """Upload the programs and wait until all have connected.
 
         Raises:
-            LocalError, LinkError: If a `PointStream` would raise it. No arm has moved.
+            LocalError, LinkError: If a `PointStream` would raise this error. No arm has moved.
         """
         self._stopping.start()
         try:
@@ -134,26 +136,25 @@ class GroupStream(GroupMotion):
         """Append points for each arm; see `PointStream.append`.
 
         Args:
-            points: Points for each arm, in the order of the group. Their times are in s on the common clock of the
-                stream, and the points of all arms end at the same time.
-            wait: Whether to wait until all robots have room for all points, up to 60 s, or up to this number of
-                seconds.
+            points: Points for each arm, in the order of the group. The times of points are in s on the common clock of
+                the stream. The points of all arms must end at the same time.
+            wait: Whether to wait until all robots have room for all points. True waits up to 60 s, a number up to this
+                number of seconds.
 
         Returns:
-            Time of the points that there is room for after the call, in s.
+            Duration of further points for which all robots have room after the call, in s.
 
         Raises:
-            BadValue: If there are not points for each arm, if they end at different times, or if an arm could not
-                follow them. Nothing is appended.
-            LocalError, LinkError: If `PointStream.append` would raise it, or if the stream of another arm has ended;
-                then it is the reason.
+            BadValue: If the points of an arm are missing, if the points of two arms end at different times, or if an
+                arm could not follow its points. Nothing is appended.
+            LocalError, LinkError: If `PointStream.append` would raise this error, or if the stream of another arm has
+                ended. Then the error states the reason.
         """
         seconds = check_wait(wait)
         with self._producing(points):
             handed: list[Handed | None] = []
-            while not any(handed):  # repeated if another thread has cleared the stream meanwhile
-                # After a replacement that took effect later on some arms, the points of the arms may end at different
-                # times.
+            while not any(handed):  # repeat if another thread has cleared the stream meanwhile
+                # If a replacement took effect later on some arms, the points of the arms may end at different times.
                 begins = max(stream._mark().time for stream in self.motions)
                 checked = [stream._checked(each, begins) for stream, each in zip(self.motions, points, strict=True)]
                 _check_ends([aims for _, aims in checked])
@@ -168,21 +169,21 @@ class GroupStream(GroupMotion):
     def replace(self, from_time: float, points: Sequence[Points]) -> float:
         """Replace all points of all arms after the same time; see `PointStream.replace`.
 
-        Each arm moves onto its new points as soon as its limits allow.
+        Each arm moves onto its new points as soon as the limits of this arm allow.
 
         Args:
-            from_time: Time in s on the clock of the stream. If it is past, or if one of the robots can no longer be
-                reached in time, the points are replaced as soon as this is possible for all.
-            points: Points for each arm, see `append`. The time of a trajectory begins at `from_time`.
+            from_time: Time in s on the clock of the stream. If this time is past, or if a message can no longer reach
+                one of the robots in time, the points are replaced as soon as this is possible for all arms.
+            points: Points for each arm; see `append`. The time of a trajectory begins at `from_time`.
 
         Returns:
-            Time in s on the clock of the stream when the new points take effect for all arms.
+            Time at which the new points have taken effect for all arms, in s on the clock of the stream.
 
         Raises:
-            BadValue: If there are not points for each arm, if they end at different times, or if an arm could not
-                follow them. The old points of all arms remain. The exception is a change that reaches one robot too
-                late, after it has taken effect on others. Then the stream of all arms is cleared.
-            LocalError, LinkError: If `append` would raise it.
+            BadValue: If the points of an arm are missing, if the points of two arms end at different times, or if an
+                arm could not follow its points. The old points of all arms remain. Exception: if the change reaches one
+                robot too late, but has taken effect on another robot, the points of all arms are cleared.
+            LocalError, LinkError: If `append` would raise this error.
         """
         since = check_number(from_time, "from_time", 0.0, unit="s")
         with self._producing(points):
@@ -191,13 +192,13 @@ class GroupStream(GroupMotion):
             return self._put(since, curves)
 
     def clear(self) -> float:
-        """Drop all points of all arms, and brake at the same time; see `PointStream.clear`.
+        """Drop all points of all arms, so that all arms brake at the same time; see `PointStream.clear`.
 
         Returns:
-            Time in s on the clock of the stream when the points now end.
+            New end of the points, in s on the clock of the stream.
 
         Raises:
-            LocalError, LinkError: If `append` would raise it.
+            LocalError, LinkError: If `append` would raise this error.
         """
         with self._reasons():
             for stream in self.motions:
@@ -206,7 +207,7 @@ class GroupStream(GroupMotion):
             return self._put(0.0, [()] * len(self.motions))
 
     def _put(self, since: float, curves: Sequence[Sequence[Aim]]) -> float:
-        """Replace the points of all arms if this is possible for each; return the time when this takes effect, in s."""
+        """Replace the points of all arms, if this is possible for each arm; return the time of the change, in s."""
         replaced: list[Future[float]] = []
         while not replaced:
             for stream in self.motions:
@@ -236,16 +237,16 @@ class GroupStream(GroupMotion):
         raise reason
 
     def _undo(self) -> None:
-        """Clear the stream, because the task that replaced its points was cancelled."""
+        """Clear the stream after the task that replaced its points was cancelled."""
         with contextlib.suppress(LinkError):
             self.clear()
 
     def wait_until_dry(self, timeout: float = 60.0) -> None:
-        """Wait until all arms have reached the end of their points, and are at rest.
+        """Wait until all arms have reached their last points and are at rest.
 
         Raises:
             LinkTimeout: If this takes longer than `timeout` seconds. The stream continues.
-            LocalError, LinkError: If `append` would raise it.
+            LocalError, LinkError: If `append` would raise this error.
         """
         until = clock.now() + check_seconds(timeout, "timeout", finite=True)
         with self._reasons():
@@ -254,7 +255,7 @@ class GroupStream(GroupMotion):
 
     @property
     def time(self) -> float:
-        """Time on the clock of the stream, in s, of the slowest arm; see `PointStream.time`."""
+        """Current time of the slowest arm on the clock of the stream, in s; see `PointStream.time`."""
         return min(stream.time for stream in self.motions)
 
     @property
@@ -264,27 +265,27 @@ class GroupStream(GroupMotion):
 
     @property
     def buffered(self) -> float:
-        """Time from `time` to `end`, in s, which is still left."""
+        """Remaining time from `time` to `end`, in s."""
         return max(self.end - self.time, 0.0)
 
     @property
     def room(self) -> float:
-        """Time of points that all robots have room for, in s; negative if points are queued here."""
+        """Duration of further points for which all robots have room, in s; negative if points are queued in memory."""
         return min(stream.room for stream in self.motions)
 
     @property
     def is_dry(self) -> bool:
-        """Whether all arms are at rest because there are no points."""
+        """Whether all arms are at rest because no points are left."""
         return all(stream.is_dry for stream in self.motions)
 
     @property
     def starved(self) -> int:
-        """Largest number of times that one of the arms had to brake because no points were left."""
+        """Number of times that an arm had to brake because no points were left; the largest number of all arms."""
         return max(stream.starved for stream in self.motions)
 
     @contextlib.contextmanager
     def _producing(self, points: Sequence[Points]) -> Iterator[None]:
-        """Make sure that no other thread or task appends or replaces points."""
+        """Prevent other threads and tasks from appending or replacing points while the block is open."""
         if len(points) != len(self.motions):
             raise BadValue(
                 f"points has entries for {len(points)} arms; expected one for each of the {len(self.motions)}"
@@ -296,7 +297,7 @@ class GroupStream(GroupMotion):
 
     @contextlib.contextmanager
     def _reasons(self) -> Iterator[None]:
-        """Raise the error that has ended one stream as the error of all streams."""
+        """If the stream of one arm has ended, raise the error of the group instead of a follow-up error."""
         try:
             yield
         except LinkError:
@@ -314,7 +315,7 @@ def _check_ends(aims: Sequence[Sequence[Aim]]) -> None:
 
 
 def of_arm(error: E, name: str) -> E:
-    """Return a copy of the error of one arm, whose message begins with the name of the arm."""
+    """Return a copy of the error of one arm. The message of the copy begins with the name of the arm."""
     named = unraised(error)
     if error.args and isinstance(error.args[0], str):
         named.args = (f"{name}: {error.args[0]}", *error.args[1:])
@@ -323,7 +324,7 @@ def of_arm(error: E, name: str) -> E:
 
 @contextlib.contextmanager
 def naming(name: str) -> Iterator[None]:
-    """Raise a `RemoteError` of one arm with the name of the arm."""
+    """Add the name of the arm to each `RemoteError` that is raised in the block."""
     try:
         yield
     except RemoteError as error:
@@ -331,6 +332,6 @@ def naming(name: str) -> Iterator[None]:
 
 
 def end_all(lives: Sequence[Lifecycle], why: str) -> None:
-    """Cancel these motions, and make their arms brake."""
+    """Cancel these motions, and brake their arms."""
     for life in lives:
         life.cancel(why, brake=True)

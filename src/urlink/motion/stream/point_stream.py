@@ -1,4 +1,4 @@
-"""Point streams: points that are appended while the arm moves through the previous ones."""
+"""Point streams: points that are appended while the arm moves through the previous points."""
 
 from __future__ import annotations
 
@@ -30,10 +30,11 @@ from .stream_steps import Aim, Bounds, Handed, Mark
 
 #: First firmware with programs that can buffer points.
 _BUFFERS = Firmware(3, 4)
-#: Maximum number of points that the program buffers, at any distance. Chosen: the text of the program is then at most
-#: half as long as the largest public driver program.
+#: Maximum number of points that the program buffers, even if they are close together in time. Chosen: the text of the
+#: program is then at most half as long as the largest public driver program.
 _MOST = 256
-#: Time in s for the robot to answer a replacement, or for the arm to come to rest before the first point.
+#: Time in s within which the robot must answer a replacement, and within which the arm must come to rest before the
+#: first point.
 _ANSWER = 10.0
 
 T = TypeVar("T")
@@ -41,17 +42,17 @@ T = TypeVar("T")
 
 @slider(stream=SliderEffect.SCALED)
 class PointStream(BlockMotion):
-    """Moves through points that are appended while it runs. `robot.motion.stream` returns it.
+    """Motion through points that are appended while the arm moves; see `robot.motion.stream`.
 
-    Use it as a ``with`` block. A program on the robot buffers the next points. If no point is left, the arm brakes, and
-    the next points continue the motion. Leaving the block stops the arm where it is. Call `wait_until_dry` before, so
-    that the arm reaches the end of its points.
+    Use it as a ``with`` block. A program on the robot buffers the next points. If no point is left, the arm brakes. The
+    next points then continue the motion. Leaving the block stops the arm immediately. If the arm should reach its last
+    point, call `wait_until_dry` before leaving the block.
 
     Only one thread or task may append and replace points at a time; a concurrent call is rejected. Any thread may call
     `clear`.
 
     Attributes:
-        buffer: Time of the points that the program on the robot buffers, in s.
+        buffer: Duration of the points that the program on the robot buffers, in s.
     """
 
     def __init__(
@@ -76,7 +77,7 @@ class PointStream(BlockMotion):
             )
         self.buffer = buffer
         cycle = 1.0 / firmware.rate
-        shortest = 2.0 * cycle  # the program reads one message in each cycle, and has to read faster than the arm moves
+        shortest = 2.0 * cycle  # the program reads a message per cycle, and must read points faster than the arm moves
         bounds = Bounds(identity.arm, servoing.speeds, limits)
         self._reader = PointReader(bounds, shortest, partial(_inverse, context))
         capacity = min(round(buffer / shortest) + 4, _MOST)
@@ -95,10 +96,13 @@ class PointStream(BlockMotion):
         feed = self._feed
         life = self._life
         life.on_end(lambda: feed.end(life.error or Closed("the block of this stream was left")))
-        self._is_producing = False  # works like a lock, but a second caller is rejected instead of waiting
+        self._is_producing = False  # works like a lock, but a second caller gets an error instead of waiting
 
     def _join(self, pace: MemberPace) -> None:
-        """Pass points at the common pace of other streams. Call it before the stream begins."""
+        """Make the arm pass points at the common pace of several streams.
+
+        Call this method before the stream begins.
+        """
         self._feed.pace = pace
         pace.is_paused = partial(getattr, self._program, "is_paused")
         self._life.on_end(pace.leave)
@@ -106,30 +110,30 @@ class PointStream(BlockMotion):
     # -- points ----------------------------------------------------------------------------------------
 
     def append(self, points: Points, *, wait: bool | float = True) -> float:
-        """Append points after the last one.
+        """Append points after the last point of the stream.
 
-        A `TrajectoryPoint` with positions only is reached in a straight line at constant speed. With velocities, it is
-        reached on a cubic curve, and with accelerations in addition on a quintic one. A `Trajectory` begins where the
-        points end.
+        A `TrajectoryPoint` that has only positions is reached in a straight line in joint space at constant speed. A
+        point with velocities is reached on a cubic curve, and a point with velocities and accelerations on a quintic
+        curve. A `Trajectory` begins at the end of the stream.
 
         Args:
             points: One point, several points, or a trajectory. Times are in s on the clock of the stream, and must
-                increase. The first must be at least two cycles of the controller after `end`. The exception is a first
-                point within 0.05 rad of the position where the arm rests.
-            wait: Whether to wait until the robot has room for all points, up to 60 s, or up to this number of seconds.
-                If False, points are queued in memory.
+                increase. The first time must be at least two cycles of the controller after `end`. Exception: if the
+                arm rests within 0.05 rad of the first point, this point may have the time `end`.
+            wait: Whether to wait until the robot has room for all points. True waits up to 60 s, a number up to this
+                number of seconds. If False, points are queued in memory.
 
         Returns:
-            Time of the points that there is room for after the call, in s. It is negative if points are queued in
-            memory.
+            Duration of further points for which the robot has room after the call, in s. The value is negative if
+            points are queued in memory.
 
         Raises:
             BadValue: If the arm could not follow the points. Nothing is appended.
-            LinkTimeout: If the robot has no room in time. The points remain.
+            LinkTimeout: If the robot has no room in time. The points remain in the stream.
             Unreachable: If a pose is out of reach. Nothing is appended.
-            Cancelled: If the points were cleared before the robot had room, or if the stream was cancelled.
+            Cancelled: If the points were cleared before the robot had room for them, or if the stream was cancelled.
             SafetyStop, NotRunning, ConnectionLost, ProgramStopped: If the stream has ended.
-            LocalError: If not called within the block, or if another thread appends or replaces.
+            LocalError: If called outside the ``with`` block, or while another thread appends or replaces points.
         """
         seconds = check_wait(wait)
         with self._producing():
@@ -141,7 +145,10 @@ class PointStream(BlockMotion):
         return self.room
 
     def _checked(self, points: Points, begins: float = 0.0) -> tuple[Mark, list[Aim]]:
-        """Return the end of the stream, and the points for it, not before `begins`, in s on the clock of the stream."""
+        """Return the end of the stream, and the aims for points after it.
+
+        The points begin at `begins` or later, in s on the clock of the stream.
+        """
         mark = self._mark()
         if mark.time < begins:
             with self._context.section.lock:
@@ -150,7 +157,7 @@ class PointStream(BlockMotion):
         return mark, self._reader.after(points, mark, begins)
 
     def _add(self, mark: Mark, aims: Sequence[Aim]) -> Handed | None:
-        """Append the points; return None if another thread has cleared the stream meanwhile."""
+        """Append the aims; return None if another thread has cleared the stream since `_checked`."""
         handed = Handed()
         with self._context.section.lock:
             if self._feed.mark is not mark:
@@ -162,25 +169,26 @@ class PointStream(BlockMotion):
         self._await(handed.future, seconds, "the robot had no room for the points")
 
     def replace(self, from_time: float, points: Points) -> float:
-        """Replace all points after a time by others.
+        """Replace all points after a time by other points.
 
         Positions, speeds and accelerations are continuous. The points that the robot has buffered are replaced, too.
-        The arm leaves its old curve at `from_time`. It moves onto the curve through the new points as soon as the
-        acceleration and the jerk of the stream allow. From then on, it reaches each point at its time. Therefore the
-        points may begin in the past, for example at the time of the observation from which they were computed.
+        The arm leaves its old curve at `from_time`. Then it moves onto the curve through the new points, as soon as the
+        limits of acceleration and jerk of the stream allow. After that, the arm reaches each point at the time of this
+        point. Therefore the points may begin in the past, for example at the time of the observation from which they
+        were computed.
 
         Args:
-            from_time: Time in s on the clock of the stream. If it is past, or can no longer be reached, the points are
-                replaced as soon as possible.
+            from_time: Time in s on the clock of the stream. If this time is past, or if a message can no longer reach
+                the robot before it, the points are replaced as soon as possible.
             points: See `append`. The time of a trajectory begins at `from_time`.
 
         Returns:
-            Time in s on the clock of the stream when the new points take effect.
+            Time at which the new points take effect, in s on the clock of the stream.
 
         Raises:
-            BadValue: If the arm could not follow the points, if they are past, or if no path within the limits leads
-                onto them. The old points remain.
-            LocalError, LinkError: If `append` would raise it.
+            BadValue: If the arm could not follow the points, if all points are in the past, or if no path within the
+                limits leads onto them. The old points remain.
+            LocalError, LinkError: If `append` would raise this error.
         """
         since = check_number(from_time, "from_time", 0.0, unit="s")
         with self._producing():
@@ -189,35 +197,38 @@ class PointStream(BlockMotion):
             return self._answered(replaced)
 
     def _undo(self, replaced: Future[float]) -> None:
-        """Clear the stream, because the task that replaced its points was cancelled; do nothing if this failed."""
+        """Clear the stream after the task that replaced its points was cancelled.
+
+        Do nothing if the replacement failed.
+        """
         if not (replaced.done() and replaced.exception() is not None):
             with contextlib.suppress(LinkError):
                 self.clear()
 
     def _curve(self, points: Points, since: float) -> list[Aim]:
-        """Return the points that replace the old ones."""
+        """Return the aims for new points that replace the old points after `since`."""
         return self._reader.curve(points, since, self._mark())
 
     def _put(self, since: float, curve: Sequence[Aim]) -> Future[float]:
-        """Request the replacement of the points after a time, or their removal if there are no new points."""
+        """Request that the points after `since` are replaced, or removed if `curve` is empty."""
         with self._context.section.lock:
             if curve:
                 check_wanted()
             return self._feed.replace(since, curve)
 
     def _await_answer(self) -> None:
-        """Wait until it is certain which points the robot has buffered."""
+        """Wait until the robot has answered all requests, so that its buffered points are known."""
         with self._context.section.lock:
             answered = self._feed.answered()
         self._await(answered, _ANSWER, "the robot did not answer")
 
     def _check(self, since: float, curve: Sequence[Aim]) -> None:
-        """Raise `BadValue` if `_put` would be rejected now."""
+        """Raise `BadValue` if a call of `_put` would be rejected now."""
         with self._context.section.lock:
             self._feed.check(since, curve)
 
     def _reach(self, later: float) -> float:
-        """See `StreamFeed.reach`."""
+        """Return the earliest time that can be replaced `later` seconds from now; see `StreamFeed.reach`."""
         with self._context.section.lock:
             return self._feed.reach(later)
 
@@ -229,26 +240,26 @@ class PointStream(BlockMotion):
         return self._await(replaced, _ANSWER, "the robot did not confirm the change of its points")
 
     def clear(self) -> float:
-        """Drop all points, including the robot's buffered points, and brake.
+        """Drop all points, including the points that the robot has buffered, and brake.
 
         The next points continue the stream.
 
         Returns:
-            Time in s on the clock of the stream when the points now end.
+            New end of the points, in s on the clock of the stream.
 
         Raises:
-            LocalError, LinkError: If `append` would raise it.
+            LocalError, LinkError: If `append` would raise this error.
         """
         self._check_open()
         self._mark()
         return self._answered(self._put(0.0, ()))
 
     def wait_until_dry(self, timeout: float = 60.0) -> None:
-        """Wait until the arm has reached the end of all points, and is at rest.
+        """Wait until the arm has reached the last point and is at rest.
 
         Raises:
             LinkTimeout: If this takes longer than `timeout` seconds. The stream continues.
-            LocalError, LinkError: If `append` would raise it.
+            LocalError, LinkError: If `append` would raise this error.
         """
         seconds = check_seconds(timeout, "timeout", finite=True)
         self._check_open()
@@ -261,10 +272,10 @@ class PointStream(BlockMotion):
 
     @property
     def time(self) -> float:
-        """Time on the clock of the stream, in s: the time of the points that the arm is passing now.
+        """Current time on the clock of the stream, in s: the time of the position that the arm is passing.
 
-        It begins at 0, and advances as slowly as the robot does (speed slider, pause). It stops while the stream is
-        dry.
+        The clock begins at 0. It advances with the time of the program on the robot, so the speed slider slows the
+        clock down, and a pause stops the clock. The clock also stops while the stream is dry.
         """
         with self._context.section.lock:
             return self._feed.time
@@ -277,17 +288,17 @@ class PointStream(BlockMotion):
 
     @property
     def buffered(self) -> float:
-        """Time from `time` to `end`, in s, which is still left."""
+        """Remaining time from `time` to `end`, in s."""
         return max(self.end - self.time, 0.0)
 
     @property
     def room(self) -> float:
-        """Time of points that the robot has room for, in s; negative if points are queued here."""
+        """Duration of further points for which the robot has room, in s; negative if points are queued in memory."""
         return self.buffer - self.buffered
 
     @property
     def is_dry(self) -> bool:
-        """Whether the arm is at rest because there are no points."""
+        """Whether the arm is at rest because no points are left."""
         with self._context.section.lock:
             return self._feed.is_dry
 
@@ -295,7 +306,7 @@ class PointStream(BlockMotion):
     def starved(self) -> int:
         """Number of times that the arm had to brake because no points were left.
 
-        It does not count if the last point was at rest.
+        The end of the points is not counted if the arm is at rest at the last point.
         """
         return self._feed.starved
 
@@ -320,7 +331,10 @@ class PointStream(BlockMotion):
         return mark
 
     def _await(self, future: Future[T], seconds: float, what: str) -> T:
-        """Return the result, and wait up to `seconds` for it. Raise the error that has ended the stream."""
+        """Wait up to `seconds` for the result of a future, and return it.
+
+        If the stream has ended, raise the error that ended it.
+        """
         if not future.done():
             with self._context.section.waiting():
                 if not clock.is_done(future, seconds):
@@ -332,6 +346,6 @@ class PointStream(BlockMotion):
 
 
 def _inverse(context: MotionContext, pose: FloatArray, near: FloatArray) -> FloatArray:
-    """Return the joint positions for a pose, with the TCP that the robot shows."""
+    """Return the joint positions for a pose of the TCP that the robot currently uses."""
     arm = context.who.identity.kinematics
     return arm.inverse(pose, near, shown_tcp(arm, context.state()))

@@ -7,12 +7,14 @@ from collections import deque
 from ...script.buffering import BRAKING, MOVING, PACING
 from ..servo.following import AHEAD
 
-#: Difference of two paces below which the new one is not sent while points are queued.
+#: Difference between two paces below which the new pace is not sent while points are queued.
 _SAME = 1e-3
 
 
 class ProgramPace:
-    """Pace of a program along its points, for streams of several arms; 1 for a single stream.
+    """Pace of a program along the points, for streams of several arms.
+
+    The pace is the time on the points that passes per second of the program. It is 1 for a single stream.
 
     Attributes:
         now: Current pace of the program.
@@ -20,21 +22,24 @@ class ProgramPace:
 
     def __init__(self) -> None:
         self.now = 1.0
-        #: paces for the program, up to the newest; a message takes as many states to have an effect
+        #: the newest paces for the program; the oldest of them is the pace in the message that takes effect now
         self._wanted = deque([1.0], AHEAD + 1)
         self._sent = 1.0
         self._is_last_message = True
 
     def want(self, pace: float) -> None:
-        """Set the pace for the program from now on. Call it once for each state."""
+        """Set the pace for the program from now on.
+
+        Call this method once for each state.
+        """
         self._wanted.append(pace)
 
     def passed(self, phase: int, seconds: float) -> float:
-        """Return the time in s that has passed on the points, at the pace of the program, and update this pace.
+        """Update the pace of the program, and return the time in s that has passed on the points.
 
         Args:
             phase: Phase of the program in its last report.
-            seconds: Time that has passed on the clock of the program, in s.
+            seconds: Time that has passed for the program, in s.
         """
         change = PACING * seconds
         if phase in (MOVING, BRAKING):

@@ -1,12 +1,13 @@
-"""Dialogue with the buffering program (`urlink.script.buffering`): the points that are sent, and its position.
+"""Dialogue with the program that buffers points (`urlink.script.buffering`): sent points, and position of the arm.
 
-There are two curves. The curve of the points begins where the arm is at rest, and each point is reached at its own
-time. The arm is on this curve, except after points came too late or were replaced. Then a path leads from the position
-of the arm to a moment of the curve, and takes as long as it needs. The clock of the stream shows the time on the curve
-of the points. It stops while the arm brakes and is at rest because there are no points.
+The curve of the points begins at the position where the arm is at rest, and passes each point at the time of this
+point. Usually the arm is on this curve. If points came too late or were replaced, a path leads the arm from its
+position onto the curve. The clock of the stream shows the time on the curve. This clock stops while the arm brakes or
+is at rest because no points are left.
 
-A cut can come too late, and points can arrive after braking has begun. The program refuses them, and reports this. The
-refused points are then planned again, from the position that the arm has by then.
+A cut is a message that replaces the buffered points, or lets the program continue from rest or from braking. If a cut
+comes too late, or if points arrive after braking has begun, the program refuses them and reports this. The refused
+points are then planned again from the new position of the arm.
 """
 
 from __future__ import annotations
@@ -49,14 +50,16 @@ from .stream_steps import Aim, Bounds, Handed, JointMoment, Mark, Step, onto
 
 _MESSAGE, _REPORT = struct.Struct(f">{MESSAGE}i"), struct.Struct(f">{REPORTED}i")
 _STOP_MESSAGE = _MESSAGE.pack(STOP, *[0] * (MESSAGE - 1))
-#: Longest time in s without a report. After it, a program counts as passing no points, for other arms. Chosen: five
-#: reports.
+#: Longest time in s without a report. After this time, the other arms of a group do not count this arm as moving along
+#: its points. Chosen: five reports.
 _UNANSWERED = 0.1
-#: Number of cycles without a state. After it, a report may be older than the next state.
+#: Number of cycles without a state, after which a report may be older than the next state.
 _GAP = 2
-#: Time for a cut to reach the program at first, in cycles and in s, and its maximum in s. Each late cut doubles it.
+#: Time that is reserved for a cut to reach the program: at first the sum of a number of cycles and a time in s, and its
+#: maximum in s. Each cut that comes too late doubles the reserved time.
 _AHEAD, _WAY, _LONGEST_WAY = 6, 0.01, 1.0
-#: Number of messages that a program needs to find out where the arm is, after a pause. It is slow at first.
+#: Number of messages after a pause within which the program must report that the arm was moved. The program is slow at
+#: first.
 _RESUMING = 50
 
 
@@ -65,12 +68,12 @@ class _Sent:
     """A step that the program has buffered, or that is being sent.
 
     Attributes:
-        number: Number of the point at its end.
-        message: Number of the message that contained it.
+        number: Number of the point at the end of the step.
+        message: Number of the message that contained the step.
         step: The step.
-        begins, ends: Beginning and end on the clock of the stream, in s.
-        until: Total time of all steps up to its end, in s.
-        aim: Point at its end; None for the beginning of a step that was cut.
+        begins, ends: Beginning and end of the step on the clock of the stream, in s.
+        until: Total duration of all steps up to the end of this step, in s.
+        aim: Point at the end of the step; None if the step is only the first part of a step that a cut has shortened.
     """
 
     number: int
@@ -82,7 +85,7 @@ class _Sent:
     aim: Aim | None
 
     def clock(self, t: float) -> float:
-        """Return the time on the clock of the stream, in s, when `t` s of the step have passed."""
+        """Return the time on the clock of the stream, in s, at `t` seconds after the beginning of the step."""
         return self.begins + (self.ends - self.begins) * max(t, 0.0) / self.step.length
 
 
@@ -98,12 +101,12 @@ class _Report:
 
 @dataclasses.dataclass
 class _Request:
-    """Replacement of the last points, or their removal.
+    """Request to replace all points after a time, or to remove them.
 
     Attributes:
         since: Time on the clock of the stream, in s.
-        curve: Points, each with the step from the previous one; empty to remove the last points.
-        done: Future that is resolved to the time when the change takes effect.
+        curve: New points, each with the step from the previous point; empty to remove points only.
+        done: Future that gets the time at which the change takes effect.
     """
 
     since: float
@@ -113,7 +116,10 @@ class _Request:
 
 @dataclasses.dataclass(frozen=True)
 class _Cut:
-    """A cut that the program has not answered: its message and epoch, and the state to restore if it is refused."""
+    """A cut that the program has not answered.
+
+    It contains the numbers of its message and epoch, and the state to restore if the program refuses it.
+    """
 
     message: int
     epoch: int
@@ -125,21 +131,21 @@ class _Cut:
 
 
 class StreamFeed(LinkDialogue):
-    """Sends points to the program, up to its buffer size.
+    """Dialogue that sends points to the program, as long as the buffer of the program has room.
 
     Args:
-        write: Function that makes the lines of the program.
-        section: Lock of the robot, because points and states arrive in different threads.
-        bounds: Bounds for the steps.
+        write: Function that returns the lines of the program.
+        section: Lock of the robot. It is needed because points and states arrive in different threads.
+        bounds: Bounds for the steps of the stream.
         cycle: Cycle of the controller, in s.
         capacity: Maximum number of points that the program buffers.
-        buffer: Time that it should buffer, in s.
+        buffer: Duration of the points that the program should buffer, in s.
 
     Attributes:
-        pace: Pace of the streams of several arms; None for a single stream.
-        begun: Future that is resolved when the arm is at rest, so that points can be appended.
+        pace: Pace of this stream in a group of streams; None for a single stream.
+        begun: Future that gets its result when the arm is at rest, so that points can be appended.
         starved: Number of times that the arm had to brake because no points were left.
-        margin: Shortest time in s for a cut to reach the program.
+        margin: Time in s that is reserved for a cut to reach the program.
     """
 
     farewell = _STOP_MESSAGE
@@ -171,38 +177,41 @@ class StreamFeed(LinkDialogue):
         self._is_lossy = False
         self._received = b""
         self._messages = self._last_answered = self._epoch = self._head = 0
-        #: time in s on the steps since the first state, according to the states, and at the last report
+        #: time in s that has passed on the steps since the first state: now, and at the last report
         self._passed = self._reported = 0.0
-        #: time in s without a state before the newest state; set from the first state on
+        #: duration of a gap before the newest state, in s; 0 if no states were missed; set by the first state
         self._unseen: float
         self._report = _Report(0, 0, 0, 0, 0.0, RESTING)
-        #: the steps that were sent, from the current one on
+        #: the steps that were sent and not yet passed, including the current step
         self._steps: deque[_Sent] = deque()
-        #: the step before these, and, while the epoch is closed, the braking from its end
+        #: the last step that was passed, and the braking from its end while the epoch is closed
         self._last: _Sent
         self._brake: Step
-        #: number of the step that continued from braking, along the rest of the braking; -1 before
+        #: number of the step in which the arm continued from braking; -1 if there is none
         self._resumed = -1
         self._queue: deque[Aim] = deque()
-        #: cut without an answer
+        #: the cut that the program has not answered; None if there is none
         self._cut: _Cut | None = None
-        #: requests that wait for the answer to the cut
+        #: requests that are processed after the answer to the cut
         self._requests: deque[_Request] = deque()
         self._may_skip = False
-        #: after a pause: the number of messages before it, and the moment of the arm
+        #: after a pause: the number of messages before the pause, and the moment of the arm after it
         self._found: tuple[int, JointMoment] | None = None
         self._answered: list[Future[None]] = []
         self._dry: list[Future[None]] = []
 
-    # -- for the thread that appends; called within the section --------------------------------------
+    # -- methods for the thread that appends; called with the lock held ------------------------------
 
     def add(self, aims: Sequence[Aim], handed: Handed) -> None:
-        """Append points. Their steps begin at the mark."""
+        """Append points after the end of the stream (`mark`)."""
         self._queue.extend(dataclasses.replace(aim, handed=handed) for aim in aims)
         self.mark = Mark(aims[-1].time, aims[-1].moment)
 
     def replace(self, since: float, curve: Sequence[Aim]) -> Future[float]:
-        """Replace the points after a time, or as soon as possible after it. Without points, the stream ends there."""
+        """Replace the points after the time `since`, or as soon as possible.
+
+        If `curve` is empty, the stream ends at this time.
+        """
         request = _Request(since, curve, Future())
         self._requests.append(request)
         if not self._life.is_cut:
@@ -210,7 +219,7 @@ class StreamFeed(LinkDialogue):
         return request.done
 
     def check(self, since: float, curve: Sequence[Aim]) -> None:
-        """Raise the error that `replace` would raise now, if the program has answered every cut.
+        """Raise the error that `replace` would raise now, assuming that the program has answered every cut.
 
         Raises:
             BadValue: If no path within the limits leads onto the points.
@@ -218,7 +227,7 @@ class StreamFeed(LinkDialogue):
         self._planned(_Request(since, curve, Future()))
 
     def reach(self, later: float) -> float:
-        """Return the first time that can be replaced `later` s from now, in s on the clock of the stream."""
+        """Return the earliest time that can be replaced `later` seconds from now, in s on the clock of the stream."""
         if not self._life.is_open:
             return self._last.ends
         place = self._place(self.margin + later)
@@ -228,13 +237,13 @@ class StreamFeed(LinkDialogue):
         return sent.clock(t)
 
     def skip(self, time: float) -> None:
-        """If no points are left, set the clock of the stream forward to `time`, in s."""
+        """Set the clock of the stream forward to `time`, in s, if no points are left."""
         if not self._life.is_open and not self._queue and self.is_answered and self.mark is not None:
             self._last = dataclasses.replace(self._last, ends=max(time, self._last.ends))
             self.mark = Mark(self._last.ends, self.mark.moment)
 
     def forget(self, handed: Handed) -> None:
-        """Drop the points of `handed` that were not yet sent."""
+        """Drop the points of `handed` that have not yet been sent."""
         kept = [aim for aim in self._queue if aim.handed is not handed]
         if len(kept) < len(self._queue):
             self._queue = deque(kept)
@@ -247,14 +256,14 @@ class StreamFeed(LinkDialogue):
                 self.mark = Mark(self._last.ends, JointMoment.at_rest(self._brake.end.q))
 
     def answered(self) -> Future[None]:
-        """Return a future that is resolved when the program has answered every cut."""
+        """Return a future that gets its result when the program has answered every cut."""
         self._answered.append(Future())
         future = self._answered[-1]
         self._settle()
         return future
 
     def dry(self) -> Future[None]:
-        """Return a future that is resolved when the arm is at rest and no point is left."""
+        """Return a future that gets its result when the arm is at rest and no points are left."""
         self._dry.append(Future())
         future = self._dry[-1]
         self._settle()
@@ -262,15 +271,15 @@ class StreamFeed(LinkDialogue):
 
     @property
     def is_answered(self) -> bool:
-        """Whether the program has answered every cut, so that it is certain which points it has buffered."""
+        """Whether the program has answered every cut, so that its buffered points are known."""
         return not (self._life.is_cut or self._requests)
 
     @property
     def is_dry(self) -> bool:
-        """Whether the arm is at rest and no point is left."""
+        """Whether the arm is at rest and no points are left."""
         if self._queue or not self.is_answered:
             return False
-        if self._report.phase == OPEN:  # all points were dropped before the first one was sent
+        if self._report.phase == OPEN:  # all points were dropped before the first point was sent
             return not self._steps
         return not self._life.is_open and self._report.phase == RESTING
 
@@ -281,23 +290,23 @@ class StreamFeed(LinkDialogue):
             return 0.0
         place = self._place(0.0)
         if place is None:
-            # The arm is at rest, or is moving beyond the points that were sent so far.
+            # The arm is at rest, or has passed all points that were sent so far.
             return self._steps[-1].ends if self._steps and self._report.phase == MOVING else self._last.ends
         sent, t = place
         return sent.clock(t)
 
     @property
     def ahead(self) -> float:
-        """Time of the steps that were sent and not yet passed, in s."""
+        """Remaining duration of the steps that were sent and not yet passed, in s."""
         return max(self._steps[-1].until - self._here, 0.0) if self._steps else 0.0
 
     @property
     def _here(self) -> float:
-        """Time of all steps that were passed, in s."""
+        """Total duration of the steps up to the current position of the arm, in s."""
         return self._last.until + self._report.passed + self._passed - self._reported
 
     def end(self, error: Exception) -> None:
-        """Resolve all futures to an error, because nothing more is sent."""
+        """Set an error as the result of all futures, because nothing more will be sent."""
         with self._section:
             for aim in self._queue:
                 if aim.handed is not None:
@@ -317,7 +326,10 @@ class StreamFeed(LinkDialogue):
         return super().body(link)
 
     def resume(self, state: RealtimeState) -> None:
-        """Continue after a pause with the points, or if the arm was moved, from the position after braking."""
+        """Continue after a pause with the next points.
+
+        If the arm was moved during the pause, the motion continues from its position after braking.
+        """
         with self._section:
             self._timer.restart()
             self._found = self._messages, JointMoment.at_rest(state.q_target)
@@ -326,7 +338,7 @@ class StreamFeed(LinkDialogue):
         """Return the message that answers a state.
 
         Raises:
-            LinkTimeout: If the arm does not come to rest before the first point.
+            LinkTimeout: If the arm does not come to rest in time before the first point.
             ToleranceExceeded: If no path leads from the position of the arm after braking to the points.
         """
         with self._section:
@@ -338,8 +350,8 @@ class StreamFeed(LinkDialogue):
             while len(self._received) >= _REPORT.size:
                 messages, epoch, head, base, passed, phase = _REPORT.unpack_from(self._received)
                 self._received = self._received[_REPORT.size :]
-                # In registers, the numbers start again at 1 after the largest one. The program is never ahead of this
-                # computer.
+                # In registers, the message number after the largest number is 1. The calculation assumes that the
+                # program never reports a message that has not been sent.
                 messages = self._messages - (self._messages - messages) % LARGEST
                 self._take(_Report(messages, epoch, head, base, passed / SCALE, phase))
             if self.pace is not None:
@@ -351,7 +363,7 @@ class StreamFeed(LinkDialogue):
                     self.pace.look(state.time, now, self.time, rate, is_led=is_led, is_idle=is_idle)
                 )
             if self.mark is None:
-                # The future is already done if another thread has ended the stream since this thread came here.
+                # The future is already done if another thread has ended the stream meanwhile.
                 if not self.begun.done() and self._begin.is_reached(state, now):
                     self.mark = Mark(0.0, JointMoment.at_rest(state.q_target))
                     self._brake = Step.braking(self.mark.moment, self._bounds.limits)
@@ -375,8 +387,8 @@ class StreamFeed(LinkDialogue):
         if self._life.phase is FeedPhase.CLOSED and self._queue:
             self._resume()
         if self._cut is not None and (self._cut.message == 0 or self._is_lossy):
-            # If messages may be lost, send a cut again until it is answered. Then a program that reads a later message
-            # has also read the cut.
+            # If messages may be lost, send the cut in every message until the program has answered it. So if the
+            # program has read any later message, it has also read the cut.
             if self._cut.message == 0:
                 self._cut = dataclasses.replace(self._cut, message=self._messages)
             return self._cut_message
@@ -386,7 +398,8 @@ class StreamFeed(LinkDialogue):
             assert aim.step is not None
             before = self._end_of_sent
             self._head += 1
-            # The step begins at the end of the previous step, as in the program.
+            # The step begins at the exact end of the previous step, because the program on the robot computes it in
+            # this way.
             step = Step.to(before.step.end, aim.moment, aim.step.length, aim.degree)
             until = before.until + step.length
             self._steps.append(_Sent(self._head, self._messages, step, before.ends, aim.time, until, aim))
@@ -409,7 +422,7 @@ class StreamFeed(LinkDialogue):
         numbers += [round(SCALE * each) for row in (moment.qd, moment.qdd) for each in row.tolist()]
         return _MESSAGE.pack(what, self._epoch, number, round(SCALE * length), degree, *numbers)
 
-    # -- what the program reports ----------------------------------------------------------------------
+    # -- reports of the program ------------------------------------------------------------------------
 
     def _take(self, report: _Report) -> None:
         time, found = self.time, None
@@ -434,12 +447,12 @@ class StreamFeed(LinkDialogue):
         while self._steps and self._steps[0].number <= report.base:
             self._last = self._steps.popleft()
         if has_moved and 0.0 < here - self._here <= self._unseen:
-            self._reported -= here - self._here  # the report is from before this computer was delayed
+            self._reported -= here - self._here  # the program sent this report before this computer was delayed
         if self._life.is_cut or self.mark is None:
             return
         is_closed = report.phase in (RESTING, BRAKING)
-        # While the arm moves, a point is refused if its message was too old. When it brakes, all points that were still
-        # being transmitted are refused.
+        # While the arm moves, the program refuses a point if its message is too old. While the arm brakes, the program
+        # refuses all points that arrive.
         refused = [
             sent for sent in self._steps if sent.number > report.head and (is_closed or sent.message <= report.messages)
         ]
@@ -453,15 +466,15 @@ class StreamFeed(LinkDialogue):
             self._life.fire(FeedEvent.CLOSE)
             if found is not None:
                 self._last = dataclasses.replace(self._last, ends=time)
-                # The controller has braked the arm along its path, so the points that it has passed are left out.
+                # The controller has braked the arm along the path, so the points that the arm has passed are left out.
                 self._may_skip = True
                 assert self.mark is not None
-                if not self._queue:  # the stream was cleared, or the arm is past its last point
+                if not self._queue:  # the stream was cleared, or the arm has passed the last point
                     self.mark = Mark(time, found)
             self._brake = Step.braking(found or self._last.step.end, self._bounds.limits)
             if self._last.number == self._resumed and not is_cleared:
-                # The arm had continued from braking, and its points came too late after the cut: the braking is the
-                # same one.
+                # The arm had continued from braking, but the points after the cut came too late. The arm is still in
+                # the same braking, so it is not counted again.
                 self._reach_later()
             elif self._brake.length > self._cycle and not is_cleared:
                 self.starved += 1
@@ -479,7 +492,7 @@ class StreamFeed(LinkDialogue):
             self._queue.extendleft(reversed([aim for aim in new if aim not in self._queue]))
 
     def _reach_later(self) -> None:
-        """Plan cuts further ahead from now on."""
+        """Plan future cuts further ahead."""
         self.margin = min(2.0 * self.margin, _LONGEST_WAY)
 
     def _settle(self) -> None:
@@ -493,9 +506,9 @@ class StreamFeed(LinkDialogue):
     # -- planning --------------------------------------------------------------------------------------
 
     def _place(self, later: float) -> tuple[_Sent, float] | None:
-        """Return the step that the arm will execute `later` seconds from now, and the time since it began.
+        """Return the step that the arm will execute `later` seconds from now, and the time since this step began.
 
-        None if unknown.
+        Return None if this step is unknown.
         """
         left = self._report.passed + self._passed - self._reported + later
         if self._report.phase not in (MOVING, OPEN):
@@ -509,7 +522,7 @@ class StreamFeed(LinkDialogue):
         return None
 
     def _open(self, number: int, length: float, degree: int, moment: JointMoment, cut: _Cut) -> None:
-        """Open an epoch with a cut, which is sent with the next message."""
+        """Open an epoch with a cut. The next message contains this cut."""
         self._epoch += 1
         self._cut = dataclasses.replace(cut, epoch=self._epoch)
         self._cut_message = self._message(CUT, number, length, degree, moment)
@@ -521,14 +534,14 @@ class StreamFeed(LinkDialogue):
         return _Cut(0, 0, self._head, tuple(self._steps), tuple(self._queue), self.mark, request)
 
     def _resume(self) -> None:
-        """Continue from the braking, or from rest, to the queued points."""
+        """Continue from braking or from rest to the queued points."""
         report, time = self._report, self._last.ends
         if report.phase == RESTING:
             t, here = 0.0, JointMoment.at_rest(self._brake.end.q)
         else:
             t = report.passed + self._passed - self._reported + self.margin
             if t > self._brake.length - self._cycle:
-                return  # the arm is at rest before a cut could reach the program
+                return  # the arm will be at rest before a cut can reach the program
             here = self._brake.at(t)
         shortest = 2.0 * self._cycle
         if self._may_skip:
@@ -540,7 +553,7 @@ class StreamFeed(LinkDialogue):
             self._may_skip = False
         aim = self._queue[0]
         if aim.step is None or not aim.step.begins_in(here):
-            # If the points have jumps of acceleration, or exceed the limits of the stream, the path ends without
+            # If the accelerations of the points have jumps, or exceed the limits of the stream, the path ends with zero
             # acceleration.
             least, still = max(aim.time - time, shortest), dataclasses.replace(aim.moment, qdd=np.zeros(6))
             landings = [aim.moment, still] if aim.degree == 5 else [still]
@@ -567,7 +580,9 @@ class StreamFeed(LinkDialogue):
             request.done.set_exception(error)
 
     def _planned(self, request: _Request) -> Callable[[], None]:
-        """Return a function that replaces or removes the last points. Nothing changes before it is called.
+        """Return a function that replaces or removes points as requested.
+
+        Nothing changes before this function is called.
 
         Raises:
             BadValue: If no path within the limits leads onto the points.
@@ -599,7 +614,10 @@ class StreamFeed(LinkDialogue):
         return replace
 
     def _planned_unsent(self, request: _Request) -> Callable[[], None]:
-        """Keep the sent points: the arm is too near to their end, or the replacement should begin later."""
+        """Plan a change that keeps all sent points.
+
+        It is used if the arm is too close to the end of the sent points, or if the change should begin after them.
+        """
         end = self._end_of_sent
         assert self.mark is not None
         since = min(max(request.since, end.ends), self.mark.time)
@@ -634,7 +652,7 @@ class StreamFeed(LinkDialogue):
             time = request.since
             place = next(sent for sent in self._steps if sent.ends > time)
             t = place.step.length * (time - place.begins) / (place.ends - place.begins)
-        # A step of zero length has no polynomial.
+        # The step must not have zero length, because no polynomial can be calculated for it.
         t = max(t, 0.5 * self._cycle)
         here = place.step.at(t)
         aims = self._onto(request, here, time)
@@ -657,7 +675,7 @@ class StreamFeed(LinkDialogue):
         return onto(self._bounds, request.curve, here, time, 2.0 * self._cycle) if request.curve else []
 
     def _put(self, aims: Sequence[Aim]) -> None:
-        """Put these points in place of all points that were not yet sent."""
+        """Use these points instead of all points that have not yet been sent."""
         left = {id(aim.handed) for aim in aims}
         for aim in self._queue:
             if aim.handed is not None and id(aim.handed) not in left:

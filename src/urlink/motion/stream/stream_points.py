@@ -1,4 +1,4 @@
-"""Points of a stream as the user passes them, and the check that rejects some of them."""
+"""Points that a user passes to a stream, and their conversion to steps within the bounds of the arm."""
 
 from __future__ import annotations
 
@@ -17,24 +17,25 @@ from ...arm.vectors import JOINTS, FloatArray
 from ..moves.trajectory import LEAP, Trajectory, TrajectoryPoint
 from .stream_steps import Aim, Bounds, JointMoment, Mark, Step
 
-#: Largest distance in rad between the position where the arm rests and a first point for the same time.
+#: Largest distance in rad between the resting position of the arm and a first point with the same time.
 _NEAR = 0.05
-#: Longest time in s between two points: a message contains it in microseconds.
+#: Longest time in s between two points. It is limited because a message contains this time in microseconds, as a 32-bit
+#: integer.
 _LONGEST = 1000.0
 
 
 @dataclass(frozen=True, eq=False, init=False)
 class PosePoint:
-    """A pose of the tool at one time, for `PointStream`.
+    """Pose of the tool at one time, as a point of a `PointStream`.
 
-    The inverse kinematics of the arm convert it to joint positions.
+    The pose is converted to joint positions with the inverse kinematics of the arm.
 
     Attributes:
         pose: Position in the base frame in m, and rotation vector in rad, shape (6,); read-only.
         time: Time in s on the clock of the stream.
 
     Raises:
-        BadValue: If `pose` is not six finite numbers, or `time` is not a time.
+        BadValue: If `pose` is not six finite numbers, or if `time` is not a valid time.
     """
 
     pose: FloatArray
@@ -45,17 +46,19 @@ class PosePoint:
         object.__setattr__(self, "time", check_seconds(time, "time", finite=True))
 
 
-#: Points that a stream accepts: one point, several points, or a trajectory, whose time begins where it is put.
+#: Points that a stream accepts: one point, several points, or a trajectory. The time of a trajectory is shifted to its
+#: place in the stream.
 Points = TrajectoryPoint | PosePoint | Trajectory | Iterable[TrajectoryPoint | PosePoint]
 
 
 class PointReader:
-    """Converts points to steps, and compares the steps with the bounds of the arm.
+    """Converter from points to steps. It compares the steps with the bounds of the arm.
 
     Args:
         bounds: Bounds of the arm.
         shortest: Shortest time between two points, in s.
-        inverse: Inverse kinematics of the arm: returns the joint positions for a pose that are closest to others.
+        inverse: Inverse kinematics of the arm: a function of a pose and of previous joint positions. It returns the
+            joint positions for the pose that are closest to the previous ones.
     """
 
     def __init__(
@@ -66,12 +69,12 @@ class PointReader:
         self._inverse = inverse
 
     def after(self, points: Points, mark: Mark, begins: float = 0.0) -> list[Aim]:
-        """Return the aims for points that are appended at the mark.
+        """Return the aims for points that are appended at the end of the stream.
 
         Args:
             points: The points.
             mark: End of the stream.
-            begins: Earliest beginning of a trajectory, in s on the clock of the stream.
+            begins: Earliest time at which a trajectory may begin, in s on the clock of the stream.
 
         Raises:
             BadValue: If the arm could not follow the points.
@@ -84,7 +87,7 @@ class PointReader:
             name = f"point {number} (t = {point.time:g} s)"
             is_here = number == 0 and abs(point.time - time) < self._shortest
             if is_here and isinstance(points, Trajectory):
-                self._check_near(name, point.q, begin.q)  # the trajectory continues from the end of the points
+                self._check_near(name, point.q, begin.q)  # the trajectory continues from the end of the stream
                 continue
             if is_here and begin.rests:
                 self._check_near(name, point.q, begin.q)
@@ -97,10 +100,12 @@ class PointReader:
         return aims
 
     def curve(self, points: Points, since: float, mark: Mark) -> list[Aim]:
-        """Return the aims for points on a separate curve, whose first aim has no step. A trajectory begins at `since`.
+        """Return the aims for points on a separate curve. The first aim has no step.
+
+        A trajectory begins at `since`.
 
         Raises:
-            BadValue, Unreachable: If `after` would raise it.
+            BadValue, Unreachable: If `after` would raise this error.
         """
         aims: list[Aim] = []
         names = []
@@ -122,11 +127,14 @@ class PointReader:
             self._bounds.check(steps, names)
 
     def _reached(self, name: str, point: TrajectoryPoint, begin: JointMoment, since: float) -> Aim:
-        """Return a point, and the step to it from a moment at `since`, in s. The values of the point set its degree."""
+        """Return the aim for a point: the point, and the step to it from the moment `begin` at the time `since`, in s.
+
+        The degree of the step depends on the velocities and accelerations that the point has.
+        """
         length = point.time - since
         if not since + self._shortest * (1.0 - 1e-6) <= point.time <= since + _LONGEST:
             raise BadValue(
-                f"{name}: its time is {length:.6g} s after the previous point, or the end of the stream; expected "
+                f"{name}: its time is {length:.6g} s after the previous point or the end of the stream; expected "
                 f"{self._shortest:g} s (two cycles of the controller) to {_LONGEST:g} s"
             )
         degree = 1 if point.qd is None else 3 if point.qdd is None else 5
@@ -138,12 +146,12 @@ class PointReader:
         joint = int(away.argmax())
         if away[joint] > _NEAR:
             raise BadValue(
-                f"{name}: {JOINTS[joint]} (joint {joint}) is at {q[joint]:.4f} rad, {away[joint]:.4f} rad from where "
-                f"the arm is; expected at most {_NEAR:g} rad, because it has no time to move there"
+                f"{name}: {JOINTS[joint]} (joint {joint}) is at {q[joint]:.4f} rad, {away[joint]:.4f} rad from the "
+                f"position of the arm; expected at most {_NEAR:g} rad, because it has no time to move there"
             )
 
     def _given(self, points: Points, begin: float, mark: Mark) -> list[TrajectoryPoint]:
-        """Convert the points to joint positions, with times on the clock of the stream."""
+        """Convert the points to points with joint positions and with times on the clock of the stream."""
         if isinstance(points, Trajectory):
             return self._of_trajectory(points, begin)
         given: list[Any] = [points] if isinstance(points, (TrajectoryPoint, PosePoint)) else _listed(points)
@@ -165,7 +173,8 @@ class PointReader:
     def _of_trajectory(self, trajectory: Trajectory, begin: float) -> list[TrajectoryPoint]:
         time, q, qd, qdd = trajectory.time, trajectory.q, trajectory.qd, trajectory.qdd
         if np.diff(time).min() < self._shortest:
-            # The program reads a point in every second cycle. The resampled points describe the same curve.
+            # The program reads a point only in every second cycle, so the trajectory is resampled. The curve hardly
+            # changes.
             time = np.linspace(0.0, trajectory.duration, max(int(trajectory.duration / (2.0 * self._shortest)), 1) + 1)
             q, qd, accelerations = trajectory.at(time)
             qdd = accelerations if trajectory.is_quintic else None
@@ -191,7 +200,8 @@ def _listed(points: Any) -> list[Any]:
     try:
         return list(points)
     except TypeError:
-        raise BadValue(f"points are {points!r}; expected points, or a Trajectory") from None
+        expected = "a sequence of TrajectoryPoint or PosePoint, or a Trajectory"
+        raise BadValue(f"points is {points!r}; expected {expected}") from None
 
 
 def _moment(point: TrajectoryPoint) -> JointMoment:

@@ -1,8 +1,8 @@
-"""Steps of a stream: polynomials from a moment of the arm to a point, braking after the last, and paths back.
+"""Steps of a stream: polynomials from one point to the next, braking after the last point, and paths onto new points.
 
-The program on the robot computes the same steps (`urlink.script.buffering`). Therefore this computer knows where the
-arm brakes, without a report. `Aim` is a point that the arm should reach, and `onto` computes the path from one curve
-through points to another.
+The program on the robot computes the same steps (`urlink.script.buffering`). Therefore this computer can calculate
+where the arm brakes, without a report from the program. An `Aim` is a point that the arm should reach. The function
+`onto` computes a path from the current curve onto another curve of points.
 """
 
 from __future__ import annotations
@@ -25,24 +25,27 @@ from ...script.buffering import BRAKING_FACTOR, STRAY
 from ..moves.trajectory import refuse_beyond
 from ..servo.jerk_limited import JointLimit
 
-#: Places in a step where it is compared with limits (see `urlink.motion.moves.trajectory`).
+#: Fractions of the duration of a step at which the step is compared with limits (see `urlink.motion.moves.trajectory`).
 _PLACES = np.linspace(0.0, 1.0, 17)
-#: Fraction by which rounding may exceed a limit.
+#: Fraction by which a value may exceed a limit, because of rounding.
 _SLACK = 1e-6
-#: Limits in rad/s and rad/s² below which a joint is at rest.
+#: Speed in rad/s and acceleration in rad/s² below which a joint counts as at rest.
 _RESTING = 1e-6
-#: Largest difference, in rad, rad/s and rad/s², between a moment and the beginning of a step in this moment.
+#: Largest difference between a moment and the beginning of a step that begins in this moment, in rad, rad/s and rad/s².
 _SAME = 1e-6
-#: Factor between successive durations that are tried for a path back onto the points, until `_LONGEST` s. Chosen: the
-#: path takes at most an eighth longer than necessary.
+#: Factor between successive durations that are tried for a path back onto the points, and the longest duration
+#: `_LONGEST` in s. Chosen: the path takes at most an eighth longer than necessary.
 _LONGER, _LONGEST = 1.125, 20.0
-#: Powers of the time in a position, a speed and an acceleration, for six coefficients.
+#: Powers of the time that belong to the six coefficients of a polynomial.
 _POWERS = np.arange(6.0)
 
 
 @dataclass(frozen=True)
 class JointMoment:
-    """Positions in rad, speeds in rad/s, and accelerations in rad/s² of the joints at one time, shape (6,)."""
+    """State of the joints at one time.
+
+    It has positions in rad, speeds in rad/s and accelerations in rad/s², each of shape (6,).
+    """
 
     q: FloatArray
     qd: FloatArray
@@ -60,12 +63,12 @@ class JointMoment:
 
 
 class Step:
-    """A polynomial of each joint over a time.
+    """Motion from one moment to another: one polynomial for each joint.
 
     Args:
-        rows: Coefficients, shape (6 powers, 6 joints), of the seconds since it began.
+        rows: Coefficients, shape (6 powers, 6 joints). The variable is the time since the step began, in s.
         length: Duration in s.
-        degree: Degree: 1, 3 or 5. A step of degree 4 is the beginning of a cubic (`urlink.script.buffering`).
+        degree: Degree: 1, 3 or 5. A step of degree 4 is the first part of a cubic step (`urlink.script.buffering`).
     """
 
     __slots__ = ("degree", "length", "rows")
@@ -79,12 +82,12 @@ class Step:
     def to(cls, begin: JointMoment, end: JointMoment, length: float, degree: int) -> Step:
         """Return the step from one moment to another.
 
-        With degree 1 and 3, the step does not match all speeds and accelerations of the moments.
+        A step of degree 1 or 3 does not match all speeds and accelerations of the moments.
 
         Args:
             begin, end: The two moments.
             length: Duration in s.
-            degree: Degree, as for a step.
+            degree: Degree of the step.
         """
         rows = np.zeros((6, 6))
         h = length
@@ -107,7 +110,9 @@ class Step:
 
     @classmethod
     def braking(cls, begin: JointMoment, limits: Sequence[JointLimit]) -> Step:
-        """Return the step from a moment to rest, with one duration for all joints; its length is 0 at rest.
+        """Return the step from a moment to rest.
+
+        All joints take the same time. If the arm is already at rest, the length of the step is 0.
 
         See `urlink.script.buffering`.
         """
@@ -130,17 +135,20 @@ class Step:
 
     @property
     def begin(self) -> JointMoment:
-        """Moment of the beginning."""
+        """Moment at the beginning of the step."""
         return self.at(0.0)
 
     @property
     def end(self) -> JointMoment:
-        """Moment of the end; without an acceleration if the degree is 3."""
+        """Moment at the end of the step; its accelerations are 0 if the degree is 3."""
         end = self.at(self.length)
         return JointMoment(end.q, end.qd, np.zeros(6)) if self.degree == 3 else end
 
     def begins_in(self, moment: JointMoment) -> bool:
-        """Whether the step begins in a moment, in the quantities that its degree can match."""
+        """Whether the step begins in a moment.
+
+        Only the quantities that the degree of the step can match are compared.
+        """
         begin = self.begin
         return all(
             np.abs(getattr(begin, each) - getattr(moment, each)).max() < _SAME
@@ -148,25 +156,28 @@ class Step:
         )
 
     def cut(self, length: float) -> Step:
-        """Return the beginning of the step, with a length."""
+        """Return the first part of the step, with a duration of `length` seconds."""
         return Step(self.rows, length, 4 if self.degree == 3 else self.degree)
 
     def rest(self, t: float) -> Step:
-        """Return the rest of the step after `t` s."""
-        # The Taylor expansion around t.
+        """Return the remaining part of the step after `t` seconds."""
+        # The coefficients of the remaining part are those of the Taylor expansion around t.
         rows = np.array([sum(math.comb(k, n) * t ** (k - n) * self.rows[k] for k in range(n, 6)) for n in range(6)])
         return Step(rows, self.length - t, self.degree)
 
 
 def _derivatives(rows: FloatArray, powers: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return positions, speeds and accelerations, from the coefficients and the powers of the time."""
+    """Calculate positions, speeds and accelerations from the coefficients and the powers of the time."""
     qd = (_POWERS[1:] * powers[..., :-1]) @ rows[..., 1:, :]
     qdd = (_POWERS[2:] * _POWERS[1:-1] * powers[..., :-2]) @ rows[..., 2:, :]
     return powers @ rows, qd, qdd
 
 
 def _sampled(rows: FloatArray, lengths: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return positions, speeds, accelerations and jerks of n steps, rows (n, 6, 6), each as (n, places, joints)."""
+    """Return positions, speeds, accelerations and jerks of n steps, each of shape (n, places, joints).
+
+    The shape of `rows` is (n, 6, 6).
+    """
     t = lengths[:, None] * _PLACES
     powers = t[..., None] ** _POWERS
     qddd = (_POWERS[3:] * _POWERS[2:-1] * _POWERS[1:-2] * powers[..., :-3]) @ rows[:, 3:]
@@ -177,10 +188,10 @@ class Bounds:
     """Bounds for the steps of a stream.
 
     Args:
-        model: Model of the arm, whose limits of position, speed and acceleration apply to the points; None if the arm
-            is unknown.
+        model: Model of the arm; None if it is unknown. The limits of position and acceleration of the model apply to
+            the points.
         speeds: Largest speeds of the joints, shape (6,), in rad/s.
-        limits: Limits for the motion that the stream adds: the braking, and the paths back onto the points.
+        limits: Limits for the motions that the stream adds to the points: braking, and the paths back onto the points.
     """
 
     def __init__(self, model: Model | None, speeds: Sequence[float], limits: Sequence[JointLimit]) -> None:
@@ -195,17 +206,17 @@ class Bounds:
         self._own = np.array([[limit.acceleration, limit.jerk] for limit in limits]).T
 
     def braked(self, moment: JointMoment) -> JointMoment:
-        """Return the moment at rest after braking, if no point follows."""
+        """Return the moment at rest after braking from `moment`."""
         return JointMoment.at_rest(Step.braking(moment, self.limits).end.q)
 
     def check(self, steps: Sequence[Step], names: Sequence[str]) -> None:
-        """Raise unless an arm can follow these steps, and stays within its range if it has to brake after one.
+        """Raise an error if the arm cannot follow these steps, or would leave its range by braking after one of them.
 
-        The corners between steps of degree 1 do not count as accelerations.
+        The jumps in speed between steps of degree 1 do not count as accelerations.
 
         Args:
             steps: The steps.
-            names: Name of each step, for messages.
+            names: Name of each step, used in error messages.
 
         Raises:
             BadValue: If a limit is exceeded. The message contains the step, the joint, the value and the limit.
@@ -229,8 +240,9 @@ class Bounds:
     def way(self, begin: JointMoment, end: JointMoment, least: float) -> Step | None:
         """Return the quickest polynomial from one moment to another within the limits; None if there is none.
 
-        It does not exceed the speeds of the joints. It also does not exceed the limits of acceleration and jerk for the
-        motion that the stream adds, except if it begins or ends with more.
+        The polynomial does not exceed the largest speeds of the joints. It also does not exceed the limits of
+        acceleration and jerk for the motions that the stream adds. Exception: if an acceleration at the beginning or
+        the end is higher than the limit, the whole polynomial may have this acceleration.
 
         Args:
             begin, end: The two moments.
@@ -245,10 +257,11 @@ class Bounds:
         return None
 
     def first_within(self, ways: Sequence[Step]) -> int | None:
-        """Return the number of the first step within the limits for the motion that the stream adds."""
+        """Return the index of the first step within the limits for the motions that the stream adds, or None."""
         q, qd, qdd, qddd = _sampled(np.array([way.rows for way in ways]), np.array([way.length for way in ways]))
         hard, sharp = self._own
-        # If the points at the ends of a path have higher accelerations, the path may have them, too.
+        # If the points at the ends of a path have accelerations above the limit, the path may have these accelerations,
+        # too.
         hard = np.maximum(hard, np.maximum(np.abs(qdd[:, :1]), np.abs(qdd[:, -1:])))
         slack = 1.0 + _SLACK
         is_within = (
@@ -260,13 +273,13 @@ class Bounds:
         return int(np.argmax(is_within)) if is_within.any() else None
 
 
-#: Factor between the times that are tried for a path onto other points.
+#: Factor between the successive durations that are tried for a path onto other points.
 _LATER = 1.25
 
 
 @dataclasses.dataclass(frozen=True)
 class Mark:
-    """End of the points: its time on the clock of the stream, in s, and its moment."""
+    """End of all points of a stream: the time on the clock of the stream, in s, and the moment of the arm there."""
 
     time: float
     moment: JointMoment
@@ -277,7 +290,7 @@ class Handed:
 
     Attributes:
         future: Future that gets its result when the last point has been sent, or an error if the points were dropped.
-        call: Call of the task that appends them; None if no task does.
+        call: Call of the task that appends these points; None if the caller is not a task.
     """
 
     def __init__(self) -> None:
@@ -285,7 +298,7 @@ class Handed:
         self.call: Call | PendingCall | None = current_call()
 
     def settle(self, error: Exception | None = None) -> None:
-        """Resolve the future."""
+        """Give the future its result, or an error."""
         if not self.future.done():
             if error is None:
                 self.future.set_result(None)
@@ -301,7 +314,7 @@ class Aim:
         time: Time on the clock of the stream, in s.
         moment: Moment of the arm at the point.
         step: Step from the previous point; None if the arm is at rest at the point.
-        handed: Points that it was appended with; None if it was computed here.
+        handed: Points that were appended together with this one; None if this point was computed here.
     """
 
     time: float
@@ -311,24 +324,28 @@ class Aim:
 
     @property
     def degree(self) -> int:
-        """Degree of the step to it; 5 if there is no step, because the moment is then complete."""
+        """Degree of the step to the point.
+
+        The degree is 5 if there is no step, because all values of the moment are then given.
+        """
         return 5 if self.step is None else self.step.degree
 
 
 def onto(bounds: Bounds, curve: Sequence[Aim], here: JointMoment, time: float, shortest: float) -> list[Aim]:
-    """Return a path from a moment of the current curve onto another curve, and the rest of the other curve.
+    """Return the path from a moment of the current curve onto another curve, followed by the rest of the other curve.
 
     The path is as short as the limits allow.
 
     Args:
         bounds: Bounds of the stream.
-        curve: Points of the other curve, each with the step from the previous one.
+        curve: Points of the other curve, each with the step from the previous point.
         here: Moment of the current curve at `time`.
         time: Time in s on the clock of the stream.
         shortest: Shortest duration of a step, in s.
 
     Raises:
-        BadValue: If its points are past, or if no path within the limits leads onto it.
+        BadValue: If all points of the other curve are in the past, or if no path within the limits leads onto this
+            curve.
     """
     places: list[tuple[Aim, list[Aim]]] = []
     at = max(time + 2.0 * shortest, curve[0].time)
@@ -345,15 +362,18 @@ def onto(bounds: Bounds, curve: Sequence[Aim], here: JointMoment, time: float, s
     found = bounds.first_within(ways)
     if found is None:
         raise BadValue(
-            f"the points up to {curve[-1].time:g} s cannot be reached from where the stream is at {time:g} s within "
-            f"the acceleration and jerk of the stream; expected points closer to it, or later ones"
+            f"the points up to {curve[-1].time:g} s cannot be reached from the position of the stream at {time:g} s "
+            "within the limits of acceleration and jerk of the stream; expected points that are closer, or later"
         )
     aim, rest = places[found]
     return [dataclasses.replace(aim, step=ways[found]), *rest]
 
 
 def _landing(curve: Sequence[Aim], at: float, shortest: float) -> tuple[Aim, list[Aim]]:
-    """Return the moment of a curve at a time, or a little later at its next point; and the points after it."""
+    """Return the aim on a curve at the time `at`, and the points after this aim.
+
+    If the next point of the curve is close to this time, this point is the aim.
+    """
     following = next(i for i, aim in enumerate(curve) if aim.time >= at)
     aim = curve[following]
     if aim.step is None or aim.time - at < shortest:

@@ -50,12 +50,12 @@ from .stored_programs import StoredProgram
 
 #: Interval for polling the robot mode while the arm starts, in seconds.
 _POLL = 0.2
-#: Maximum time, in seconds, from the command to switch off until the arm no longer runs.
+#: Maximum time, in seconds, from the command to switch off until the arm is no longer reported as running.
 _OFF_WITHIN = 5.0
-#: Commands that do not wait while another thread waits for its reply.
+#: Commands that do not wait while another thread is waiting for a reply.
 _STOPS = ("stop", "pause", "power off")
 
-# Beginning of the reply that makes a new connection necessary.
+# Beginning of the reply after which a new connection is necessary.
 _NOT_ALLOWED = NOT_IN_REMOTE_CONTROL.partition(" due to ")[0].casefold()
 
 
@@ -66,22 +66,22 @@ class Dashboard(StrictAttributes, Closing):
     request. The following paragraphs about connections apply to the dashboard server.
 
     The client connects when it is first used, and reconnects if the connection was lost between two commands. A command
-    that may have reached the controller is never sent a second time. If its reply does not arrive, the connection is
-    closed, the call raises `LinkTimeout` or `ConnectionLost`, and the next command uses a new connection. The client
-    also reconnects after a refusal in local mode, because the controller requires it. Threads may share the client;
-    they take turns. If another thread waits for its reply, `stop`, `pause` and `power_off` use a second connection, and
-    do not wait.
+    that might have reached the controller is never sent a second time. If the reply to a command does not arrive, the
+    connection is closed, the call raises `LinkTimeout` or `ConnectionLost`, and the next command uses a new connection.
+    The client also reconnects after a refusal in local mode, because the controller requires it. Threads may share the
+    client; they take turns. If another thread is waiting for a reply, `stop`, `pause` and `power_off` use a second
+    connection, and do not wait.
 
     **The controller might still execute a command that failed in this way**, for example when it resumes after a hang.
-    The error says so. Of these commands, only `play` is undone: urlink sends `stop` at the next contact and before any
-    other command, unless another program has been sent since. The undo remains pending for the life of the process:
-    after `close`, it is sent by the next `Dashboard` or robot of `connect` at this controller. No other command is
-    undone: power, brakes and the loaded program stay as the controller leaves them.
+    The error message contains this warning. Of these commands, only `play` is undone: urlink sends `stop` at the next
+    contact and before any other command, unless another program has been sent since. The undo remains pending for the
+    life of the process: after `close`, the next `Dashboard` or robot of `connect` at this controller sends it. No other
+    command is undone: power, brakes and the loaded program stay as the controller leaves them.
 
-    All methods that talk to the controller raise
+    All methods that contact the controller raise
 
-    - `LocalError` if the firmware does not have the command, and `BadValue` if an argument cannot be sent; nothing is
-      sent then;
+    - `LocalError` if the firmware does not have the command, and `BadValue` if an argument cannot be sent; in both
+      cases, nothing is sent;
     - `DashboardRefused` if the controller does not execute the command, for example an e-Series in local mode;
     - `LinkTimeout` if the controller does not answer in time, or if an abandoned `play` could not be undone yet;
     - `ConnectFailed` and `ConnectionLost` if the controller cannot be reached, `WrongPeer` if another service answers,
@@ -93,12 +93,12 @@ class Dashboard(StrictAttributes, Closing):
         host: Host name or address of the controller.
         port: Port of the dashboard server, 29999 on a real controller; None if it is not served.
         firmware: Function that returns the firmware of the controller. It is called before each command, because the
-            firmware may have changed in between.
+            firmware might have changed in between.
         api_port: Port of the Robot API, 80 on a real controller; None if it is not served.
         timeout: Maximum time to connect, and for the reply to a command, in seconds. Slow commands have more time; see
             `COMMANDS`.
-        undos: Pending undos of the commands to this controller. If None, share those of all objects in this process
-            that command the controller.
+        undos: Pending undos of the commands to this controller. If None, use the undos that all objects in this process
+            share for the controller.
         on_stop: Function that is called before each command that stops or pauses the arm. Its argument is the reason,
             used in messages.
 
@@ -143,16 +143,16 @@ class Dashboard(StrictAttributes, Closing):
     # -- power ---------------------------------------------------------------------------------------
 
     def start(self, timeout: float = 30.0) -> None:
-        """Power the arm on, release its brakes, and wait until it runs. **The arm may move** as the brakes release.
+        """Power the arm on, release its brakes, and wait until it runs. **The arm might move** as the brakes release.
 
-        It does not unlock a stop: after a protective stop the arm runs, but cannot move before
-        `unlock_protective_stop`. On CB2, a person starts the arm at the pendant. Later controllers may require a person
-        to confirm the safety settings first.
+        This method does not unlock a stop: after a protective stop, the arm runs, but cannot move before
+        `unlock_protective_stop`. On CB2, a person starts the arm at the pendant. Later controllers might require a
+        person to confirm the safety settings first.
 
         Raises:
             LinkTimeout: If the arm does not run after `timeout` seconds. The error contains the robot mode and the
                 safety mode.
-            LocalError: If the controller is a CB2, which has no command for it.
+            LocalError: If the controller is a CB2, which has no command to power the arm on.
             DashboardRefused: If the controller refuses, for example an e-Series in local mode.
         """
         until = clock.now() + _positive(timeout)
@@ -161,7 +161,7 @@ class Dashboard(StrictAttributes, Closing):
         next_step = {RobotMode.POWER_OFF: "power on", RobotMode.IDLE: "brake release"}
         while True:
             mode = self.robot_mode()
-            # After the command to switch off, the arm is still reported as running while it comes to rest.
+            # After the command to switch off, the controller reports the arm as running until the arm is at rest.
             if mode == RobotMode.RUNNING and clock.now() - self._switched_off > _OFF_WITHIN:
                 return
             if mode != RobotMode.RUNNING:
@@ -189,7 +189,7 @@ class Dashboard(StrictAttributes, Closing):
         self._switched_off = clock.now()
 
     def brake_release(self) -> None:
-        """Begin to release the brakes. **The arm may move.** An arm that is off is powered on first.
+        """Begin to release the brakes. **The arm might move.** An arm that is off is powered on first.
 
         If no reply arrives, the controller might still execute the command. It is not undone.
         """
@@ -232,7 +232,7 @@ class Dashboard(StrictAttributes, Closing):
         self._do("stop")
 
     def running(self) -> bool:
-        """Return whether a program runs."""
+        """Return whether a program is running."""
         return parse_truth("running", self._do("running"))
 
     def program_state(self) -> ProgramStatus:
@@ -256,7 +256,7 @@ class Dashboard(StrictAttributes, Closing):
 
         Args:
             path: Path of the file.
-            replace: Whether the program exists on the controller and is replaced. If False, the program must be new.
+            replace: Whether to replace a program that exists on the controller. If False, the program must be new.
 
         Returns:
             Name that the controller reports for the program, used to load it; None if it reports no name.
@@ -287,7 +287,7 @@ class Dashboard(StrictAttributes, Closing):
         return parse_safety_mode("safetymode", self._do("safetymode"))
 
     def safety_status(self) -> SafetyMode:
-        """Return the safety mode as `safety_mode` does, with finer distinctions between the stops."""
+        """Return the safety mode like `safety_mode`, but distinguish more kinds of stops."""
         return parse_safety_mode("safetystatus", self._do("safetystatus"))
 
     def unlock_protective_stop(self) -> None:
@@ -306,7 +306,7 @@ class Dashboard(StrictAttributes, Closing):
         return parse_truth("is in remote control", self._do("is in remote control"))
 
     def operational_mode(self) -> OperationalMode:
-        """Return the operational mode; `"none"` if no password for it was set."""
+        """Return the operational mode; `"none"` if no password for the operational mode was set."""
         return parse_operational_mode(self._do("get operational mode"))
 
     def set_operational_mode(self, mode: Literal["manual", "automatic"]) -> None:
@@ -390,7 +390,7 @@ class Dashboard(StrictAttributes, Closing):
         """
         firmware = self._present()
         if firmware.is_polyscope_x:
-            raise LocalError(f"firmware {firmware} is PolyScope X, which has no dashboard server to send a line to")
+            raise LocalError(f"firmware {firmware} is PolyScope X, which has no dashboard server for send()")
         self._check_served(self._port, "dashboard server")
         encode_line(command)
         within = self._timeout if timeout is None else _positive(timeout)
@@ -406,7 +406,7 @@ class Dashboard(StrictAttributes, Closing):
         self._do("quit", is_last=True)
 
     def close(self) -> None:
-        """Disconnect permanently. If another thread waits for a reply, its call raises `Closed`. Idempotent."""
+        """Disconnect permanently. If another thread is waiting for a reply, its call raises `Closed`. Idempotent."""
         if self._shares_undos:
             self._undos.close(self)
         self._http.close()
@@ -417,7 +417,7 @@ class Dashboard(StrictAttributes, Closing):
         return f"<Dashboard {self._transport.name}>"
 
     def _present(self) -> Firmware:
-        """Return the firmware that the controller runs now; raise `Closed` after `close`."""
+        """Return the current firmware of the controller; raise `Closed` after `close`."""
         if self._dialogue.is_closed:
             raise Closed(f"{self._name} was closed")
         return self._firmware()
@@ -453,8 +453,7 @@ class Dashboard(StrictAttributes, Closing):
         line = command_line(command, argument)
 
         def stays(reply: str) -> bool:
-            # In local mode, the controller requires a new connection. A reply that is not known may belong to another
-            # command.
+            # In local mode, the controller requires a new connection. An unknown reply might belong to another command.
             return not is_last if command.match(reply) else command.is_refusal(reply)
 
         with self._command(name, command.only_asks) as given_up:
@@ -467,7 +466,7 @@ class Dashboard(StrictAttributes, Closing):
     def _command(
         self, name: str, only_asks: bool = False
     ) -> contextlib.AbstractContextManager[Callable[[], None] | None]:
-        """Guard a command. The context value is called if the command was sent and abandoned; None for a query."""
+        """Surround a command. Yields a function to call if the command was sent and abandoned; None for a query."""
         if only_asks:
             return contextlib.nullcontext()
         undo = None

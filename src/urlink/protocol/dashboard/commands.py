@@ -1,15 +1,15 @@
 """Table of the commands of the dashboard server (port 29999), and the error if a command is refused.
 
 The protocol consists of lines of text, with one reply to each command. Source: docs/protocols/dashboard.md, section
-Releases. The versions there are those that the vendor's own client enforces. Punctuation and case of the replies
-changed between generations. Therefore they are matched from their beginning, without regard to case. Other sources:
+Releases, which lists the versions that the vendor's own client enforces. Punctuation and case of the replies changed
+between generations. Therefore a reply is matched from its beginning, and case is ignored. Other sources:
 
 - Further commands that need remote control (`stop`, `pause`, `shutdown`, `power off`, `restart safety`), and the text
-  of that refusal: reports of users of the e-Series.
+  of the refusal in local mode: reports of users of the e-Series.
 - The mode as a bare number, from a CB2 controller: the vendor's older table and two public clients.
 - `No log message to add`, `Failed setting user role` and `Program loaded`: public clients that follow the vendor's
   older table.
-- `could not understand`: the vendor's own client expects this reply of a controller that does not have a command.
+- `could not understand`: the vendor's own client expects this reply from a controller that does not have the command.
 - The kinds of flight report: a public client that follows the vendor's table for the e-Series.
 - Maximum times of slow commands: for the reports, the times that the vendor's own client allows; for the others,
   assumed.
@@ -81,7 +81,7 @@ class DashboardCommand:
         argument: Kind of the text that follows the name; empty if the command has no argument.
         choices: Allowed values of the argument; empty if any text is allowed.
         needs_remote_control: Whether the e-Series refuses the command in local mode.
-        slow: Maximum time for the reply in seconds, if it is longer than that of other commands.
+        slow: Maximum time for the reply in seconds, if it is longer than for other commands.
         only_asks: Whether the command changes nothing.
     """
 
@@ -108,7 +108,7 @@ class DashboardCommand:
         return first is not None and firmware >= first
 
     def match(self, reply: str) -> re.Match[str] | None:
-        """Match a reply with `success`. The groups are the values in the reply; None if it was not executed."""
+        """Match `reply` with `success`; None if the command was not executed. The groups are the values in it."""
         return re.match(self.success, reply, re.IGNORECASE | re.ASCII)
 
     def is_refusal(self, reply: str) -> bool:

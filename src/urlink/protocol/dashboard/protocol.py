@@ -61,7 +61,7 @@ def encode_line(text: str) -> bytes:
         BadValue: If the text is not one line, is blank, or is too long.
     """
     if not isinstance(text, str) or not text.strip():
-        raise BadValue(f"invalid dashboard command {text!r}; expected a line of text")
+        raise BadValue(f"{text!r} is not a dashboard command; expected a line of text")
     for character in text:
         if unicodedata.category(character) in _NOT_IN_A_LINE:
             raise BadValue(
@@ -121,18 +121,19 @@ class DashboardProtocol:
 
         Raises:
             BadValue: If the text is not one line of bounded length.
-            LocalError: If this connection is out of step, so that the next line might not be the reply to this command.
+            LocalError: If a reply is missing or unexpected bytes have arrived, so that the next line might not be the
+                reply to this command.
         """
         line = encode_line(text)
         if not self.is_in_step:
-            raise LocalError(f"{text!r} cannot be sent on a connection that is out of step")
+            raise LocalError(f"{text!r} cannot be sent, because the connection is out of step: use a new connection")
         self._is_asked = True
         return line
 
     def feed(self, data: bytes) -> str | None:
         """Process received bytes, and return the reply when it is complete, without line end and surrounding blanks.
 
-        Bytes after the reply, or without a command, are kept. The connection is out of step then.
+        Bytes after the reply, or without a command, are kept. The connection then cannot be used any more.
 
         Raises:
             WrongPeer: If the data does not begin with the greeting, or a line has no end.
@@ -178,7 +179,7 @@ def _groups(name: str, reply: str) -> tuple[str | None, ...]:
 
 
 def _unreadable(name: str, reply: str) -> PacketError:
-    return PacketError(f"{reply[:200]!r} is not a known reply", packet=f"reply to {name!r}")
+    return PacketError(f"{reply[:200]!r} is not a known reply to this command", packet=f"reply to {name!r}")
 
 
 def _named(name: str, reply: str, modes: type[_Mode]) -> _Mode:

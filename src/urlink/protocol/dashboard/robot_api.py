@@ -3,9 +3,9 @@
 PolyScope X has no dashboard server. Instead, version 10.11 and later accept HTTP requests with JSON bodies. The table
 lists the requests by the names of the dashboard commands. The answers are converted to replies of the dashboard server,
 so that `Dashboard` parses both in the same way. Source: the vendor's own client library (docs/protocols/dashboard.md,
-Robot API); for the requests of 10.14, its state of 2026-08. The library does not define the following:
+Robot API); for the requests of 10.14, the library as of 2026-08. The library does not define the following:
 
-- EMERGENCY_STOP does not show which emergency stop it is; it is assumed to be the stop of the robot itself.
+- EMERGENCY_STOP does not show which emergency stop is active. Assumption: the stop of the robot itself.
 - `play` is assumed not to resume a paused program, so `resume` is sent if the program is paused.
 - The answer if no program is loaded is unknown. An empty body, an empty name and null are all accepted.
 - 10.14 has a path to set the operational mode, but its body is unknown. The request is not sent.
@@ -46,13 +46,13 @@ class ApiRequest:
     Attributes:
         method: HTTP method: GET, PUT, POST or DELETE.
         path: Path below `BASE`.
-        body: JSON object. An empty value is replaced by the argument of the command. None stands for any text, and is
-            sent as an empty text. If the object is empty, no body is sent.
+        body: JSON object. An empty value is replaced by the argument of the command. A value of None is sent as an
+            empty string, because any string is accepted. If the object is empty, no body is sent.
         reply: Name of the member of the answer that is returned; empty for none.
         words: Reply of the dashboard server with the same meaning, with a placeholder for the member.
         names: Values of the member -> their names on the dashboard server.
         since: First firmware that has the request. It is valid until the next request for the same command.
-        slow: Maximum time for the answer in seconds, if it is longer than that of other requests.
+        slow: Maximum time for the answer in seconds, if it is longer than for other requests.
     """
 
     method: str
@@ -205,7 +205,9 @@ class RobotApi:
     ) -> HttpResponse:
         if firmware < STORED_PROGRAMS:
             which = version_text(STORED_PROGRAMS)
-            raise LocalError(f"firmware {firmware} has no programs in its Robot API; {which} or later is required")
+            raise LocalError(
+                f"the Robot API of firmware {firmware} cannot list or store programs; {which} or later is required"
+            )
         headers = {"Accept": "application/json"} | ({"Content-Type": content_type} if content_type else {})
         path = PROGRAMS + name
         asked = HttpRequest(method, BASE + path, headers, body)

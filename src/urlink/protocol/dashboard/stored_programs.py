@@ -26,7 +26,8 @@ class StoredProgram(NamedTuple):
 
     Attributes:
         name: Name of the program, used to load it.
-        description: Description by the author, or empty; None if the controller sends null, as for all later fields.
+        description: Description by the author, or an empty string. This and every later field is None if the controller
+            sends null.
         created: Time of creation, as the controller reports it: a whole number of unknown unit.
         last_modified: Time of the last change, in the same unit.
         last_saved: Time when it was last saved, in the same unit.
@@ -73,7 +74,7 @@ def program_name(content: bytes) -> str:
     for key in ("program", "programInformation", "name"):
         said = said.get(key) if isinstance(said, dict) else None
     if not isinstance(said, str) or not said:
-        raise PacketError("program.programInformation.name is missing or not a text", packet="file of a program")
+        raise PacketError("program.programInformation.name is missing or not a string", packet="file of a program")
     return said
 
 
@@ -139,5 +140,5 @@ def parse_form(content_type: str, body: bytes) -> tuple[str, bytes]:
     head, blank, content = parts[1].partition(b"\r\n\r\n") if len(parts) == 3 else (b"", b"", b"")
     name = _PART.search(head)
     if not blank or name is None or not parts[-1].startswith(b"--"):
-        raise PacketError("the form does not consist of one part 'file'", packet="form")
+        raise PacketError("the form must consist of a single part with the name 'file'", packet="form")
     return name[1].decode("utf-8", "backslashreplace"), content

@@ -39,10 +39,10 @@ FAULTS = {
 
 
 class GripperFault(RemoteError):
-    """Error if the gripper is not connected, is not activated or has a fault, and did not execute a command.
+    """Error if the gripper did not execute a command: it is not connected, is not activated, or has a fault.
 
     Attributes:
-        fault: Number of the fault; 0 if the gripper itself reports none.
+        fault: Number of the fault; 0 if the gripper itself reports no fault.
     """
 
     __module__ = "urlink"  # users import it from this module, and tracebacks show it
@@ -92,7 +92,7 @@ class GripperStatus(NamedTuple):
         return self.object in (ObjectStatus.STOPPED_OPENING, ObjectStatus.STOPPED_CLOSING)
 
     def opening(self, stroke: float = _STROKE) -> float:
-        """Return the distance between the fingers in m, assuming that it is linear from `stroke` at 0 to zero at 255.
+        """Return the distance between the fingers in m, assumed to be linear from `stroke` at 0 to zero at 255.
 
         Args:
             stroke: Distance between the open fingers in m: 0.085 for a 2F-85, 0.14 for a 2F-140. Real fingers reach
@@ -108,13 +108,13 @@ class Gripper(StrictAttributes):
     during a stop.
 
     **If no reply arrives, the gripper might still execute the command**, for example when a hung controller resumes.
-    The error says so. If the command moves the fingers, they are stopped at the first contact, and before any other
-    command is sent. The stop remains pending for the life of the process, and is also sent by the next `Gripper` or
-    robot of `connect` at this controller.
+    The error message contains this warning. If the command moves the fingers, urlink stops them at the first contact,
+    before it sends any other command. The stop remains pending for the life of the process: the next `Gripper` or robot
+    of `connect` at this controller also sends it.
 
-    All methods that talk to the gripper raise
+    All methods that contact the gripper raise
 
-    - `BadValue` if an argument is invalid; nothing is sent then;
+    - `BadValue` if an argument is invalid; in this case, nothing is sent;
     - `GripperFault` if the gripper has a fault, is not activated, or is not connected to the controller;
     - `ConnectFailed` if no URCap serves the gripper, and `ConnectionLost`, `LinkTimeout`, `WrongPeer` or `PacketError`
       if the peer does not reply, or does not reply like a gripper;
@@ -125,8 +125,8 @@ class Gripper(StrictAttributes):
         port: Port number, 63352 on a real controller.
         timeout: Maximum time to connect, and for each reply, in seconds.
         refused: Function that returns a hint for the error if the connection is refused.
-        undos: Pending undos of the commands to this controller. If None, share those of all objects in this process
-            that command the controller.
+        undos: Pending undos of the commands to this controller. If None, use the undos that all objects in this process
+            share for the controller.
     """
 
     def __init__(
@@ -203,7 +203,7 @@ class Gripper(StrictAttributes):
         if self.get("STA") != 3:
             raise GripperFault("the gripper is not activated, so no motion was sent; call activate() first", 7)
         self._set(line, moves=True)
-        # The gripper accepts the request some milliseconds later. Until then, it shows the result of the last one.
+        # The gripper accepts the request some milliseconds later. Until then, it reports the result of the last one.
         until = clock.now() + self._timeout
         self._await(lambda: self.get("PRE") == position, until, self._timeout, "the request was not accepted")
         return self.wait(seconds) if seconds else self.status()
@@ -256,7 +256,7 @@ class Gripper(StrictAttributes):
 
     def status(self) -> GripperStatus:
         """Return the current state."""
-        # Each variable is a separate request, and the fingers may move in between. With this order, a status at rest
+        # Each variable is a separate request, and the fingers might move in between. With this order, a status at rest
         # belongs to the reported request, and the position is the position at rest.
         state, requested, stopped, position, fault = map(self.get, ("STA", "PRE", "OBJ", "POS", "FLT"))
         return GripperStatus(state == 3, position, requested, ObjectStatus(stopped), fault)
@@ -275,7 +275,7 @@ class Gripper(StrictAttributes):
         """Return a variable of the gripper by its name, such as "COU" (motor current), if no method reads it."""
         value = value_of(name, self._dialogue.ask(get_line(name), self._timeout))
         if value is None:
-            raise GripperFault(f"the controller serves a gripper at {self._name}, but no gripper is connected to it")
+            raise GripperFault(f"the URCap at {self._name} is running, but no gripper is connected to the controller")
         return value
 
     def set(self, /, **values: int) -> None:
@@ -287,7 +287,7 @@ class Gripper(StrictAttributes):
         with self._undos.command("gripper", self._timeout, undo) as given_up:
             reply = self._dialogue.ask(line, self._timeout, given_up=given_up)
         if reply.casefold() != "ack":
-            raise GripperFault(f"{line!r}: the gripper answered {reply[:80]!r}")
+            raise GripperFault(f"the gripper did not execute {line!r}, and answered {reply[:80]!r}")
 
     def _checked(self, status: GripperStatus) -> GripperStatus:
         if status.fault:

@@ -3,7 +3,7 @@
 The reply to `SET NAME VALUE [NAME VALUE ...]` is `ack`, and the reply to `GET NAME` is `NAME VALUE`. Source: public
 clients (docs/protocols/gripper.md, Lines). Some versions end their replies with a newline, others do not, and `ack` has
 no newline. Therefore a value is complete at its newline, or after `SETTLING` seconds without more bytes. The reply to
-an unknown name is not known. Public clients receive `?` if the gripper is not connected to the controller.
+an unknown name is not documented. Public clients receive `?` if the gripper is not connected to the controller.
 """
 
 from __future__ import annotations
@@ -78,7 +78,9 @@ def value_of(name: str, reply: str) -> int | None:
         return None
     found = _VALUE.fullmatch(reply)
     if found is None or found[1] != name:
-        raise PacketError(f"{reply[:80]!r} is not a value of {name}", packet=f"reply to 'GET {name}'")
+        raise PacketError(
+            f"{reply[:80]!r} is not a value of {name}; expected a number", packet=f"reply to 'GET {name}'"
+        )
     return int(found[2])
 
 
@@ -112,7 +114,7 @@ class GripperProtocol:
             LocalError: If the reply to the previous line has not arrived.
         """
         if not self.is_in_step:
-            raise LocalError(f"{text!r} cannot be sent on a connection that is out of step")
+            raise LocalError(f"{text!r} cannot be sent, because the connection is out of step: use a new connection")
         self._is_set = text.startswith("SET ")
         # Drop a newline that arrived after the previous reply.
         self._rest = b""

@@ -57,13 +57,13 @@ class PackageDecoder:
     """Decoder of whole packages to typed states.
 
     Args:
-        version: Firmware of the controller. Layouts smaller than those of this firmware are not used. If None, only the
-            sizes decide.
+        version: Firmware of the controller. Smaller layouts than the layouts of this firmware are not used. If None,
+            only the sizes decide.
         notice: Function that is called once for each kind of unknown package or part of a package.
 
     Attributes:
         unknown: Number of packages, messages and sub-packages so far whose type has no known layout.
-        tails: Number of those so far that end in bytes which no known layout explains.
+        tails: Number of packages, messages and sub-packages so far that end in bytes which no known layout explains.
     """
 
     def __init__(self, version: Version | None = None, notice: Callable[[str], object] = str) -> None:
@@ -103,11 +103,15 @@ class PackageDecoder:
     def _robot_message(self, frame: bytes, stamp: Stamp | None) -> State:
         if len(frame) < MESSAGE_HEAD:
             raise PacketError(
-                "packet too short", packet="RobotMessage", expected=MESSAGE_HEAD, actual=len(frame), offset=len(frame)
+                "the packet is too short",
+                packet="RobotMessage",
+                expected=MESSAGE_HEAD,
+                actual=len(frame),
+                offset=len(frame),
             )
         kind = frame[MESSAGE_HEAD - 1]
         cls: Any = MESSAGES.get(kind, UnknownMessage)
-        # Only the size can decide the layout of the version message, because the version is not known before it.
+        # Only the size can decide the layout of the version message, because the version is unknown before it.
         version = None if cls is VersionMessage else self._version_for(cls)
         state = self._package(cls, frame, version, stamp)
         if cls is UnknownMessage:
@@ -145,7 +149,7 @@ class PackageDecoder:
             version = self._version_for(cls)
             if cls is UnknownSubPackage:
                 unknown += 1
-                self._tell(f"sub-package type {kind} of {size} bytes is unknown, and kept")
+                self._tell(f"sub-package type {kind} of {size} bytes is unknown; its bytes are kept")
             try:
                 decode = cls.LAYOUTS.decoder(size, version)
             except PacketError:
@@ -171,12 +175,12 @@ class PackageDecoder:
         left = len(frame) - at
         wrong = partial(PacketError, packet="RobotState", offset=at)
         if left < _HEAD.size:
-            raise wrong("sub-package header cut off", expected=_HEAD.size, actual=left)
+            raise wrong("the header of a sub-package is cut off", expected=_HEAD.size, actual=left)
         size, kind = _HEAD.unpack_from(frame, at)
         if size < _HEAD.size:
             raise wrong(f"sub-package {kind} is smaller than its header", expected=_HEAD.size, actual=size)
         if size > left:
-            raise wrong(f"sub-package {kind} does not fit", expected=size, actual=left)
+            raise wrong(f"sub-package {kind} does not fit into the robot state", expected=size, actual=left)
         return size, kind
 
     def _located(self, decoders: Sequence[Callable[..., SubPackage]], parts: Sequence[bytes]) -> PacketError:
@@ -191,7 +195,7 @@ class PackageDecoder:
         raise AssertionError("one of the sub-packages raised an error before")
 
     def _version_for(self, cls: type[State]) -> Version | None:
-        """Return the version; None if it is not known to send this class, so that the size decides."""
+        """Return the version; None if this version is not known to send the class, so that the size decides."""
         if self._version is None:
             return None
         try:
@@ -204,7 +208,7 @@ class PackageDecoder:
 
     def _count_unknown(self, kind: str) -> None:
         self.unknown += 1
-        self._tell(f"{kind} is unknown, and kept")
+        self._tell(f"{kind} is unknown; its bytes are kept")
 
     def _count_tail(self, state: State) -> None:
         self.tails += self._tell_tail(state)
@@ -212,7 +216,7 @@ class PackageDecoder:
     def _tell_tail(self, state: State) -> bool:
         tail = state.tail
         if tail:
-            self._tell(f"the last {len(tail)} bytes of {type(state).__name__} are unknown, and kept")
+            self._tell(f"the last {len(tail)} bytes of {type(state).__name__} are unknown; they are kept")
         return bool(tail)
 
     def _tell(self, text: str) -> None:
@@ -227,7 +231,7 @@ def _class_of(kind: int, size: int) -> type[SubPackage]:
     for cls in classes:
         if size >= min(layout.size for layout in cls.LAYOUTS.all):
             return cls
-    # A 9-byte kinematics package was reported if nothing has changed. Its content is unknown.
+    # Users report a 9-byte kinematics package that is sent if nothing has changed. Its content is unknown.
     return classes[0] if classes and (kind, size) != (5, 9) else UnknownSubPackage
 
 

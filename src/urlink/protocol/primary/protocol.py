@@ -4,9 +4,10 @@ It converts bytes to robot states, robot messages and other packages. A controll
 connects. The version determines the layouts of the later packages; before it, the sizes decide
 (docs/protocols/primary.md, section Version message).
 
-A package begins with its size and its type (docs/protocols/primary.md, section Framing). In step, the size is accepted
-after a check of the bytes that a wrong size would break. Out of step, only two kinds of package are accepted: a robot
-state whose sub-packages add up to its size, or a robot message of a known type with another package after it.
+A package begins with its size and its type (docs/protocols/primary.md, section Framing). While the frame boundary is
+known, a size is accepted unless the sub-packages of a robot state, or the header of the next package, contradict it.
+While the boundary is lost, only two kinds of packages are accepted: a robot state whose sub-packages add up to its
+size, or a robot message of a known type with another package after it.
 """
 
 from __future__ import annotations
@@ -39,14 +40,14 @@ _MODES, _CB2_SIZE = 0, RobotModeData.LAYOUTS.all[0].size
 _SIZE = struct.Struct(">i")
 _HEAD_AND_FIRST = struct.Struct(">iBi")  # header of a robot state, with the size of its first sub-package
 
-# Largest accepted size out of step and for unknown types. The largest observed package has 1471 bytes.
+# Largest accepted size while the boundary is lost, and for unknown types. The largest observed package has 1471 bytes.
 _LARGEST_BELIEVED = 8192
 
-# Maximum number of sub-packages to add up. 14 types are known, and no observed state contains one twice. A state with
-# more is judged by the package after it, so that the work for each position in the stream is bounded.
+# Maximum number of sub-packages to add up. 14 types are known, and no observed state contains a type twice. For a state
+# with more sub-packages, the next package decides, so that the work for each position in the stream is bounded.
 _MOST_PARTS = 16
 
-# Beginning of a robot state or robot message of an accepted size. It uses lookahead, because candidates may overlap.
+# Beginning of a robot state or robot message of an accepted size. It uses lookahead, because candidates might overlap.
 _CANDIDATE = re.compile(rb"(?=\x00\x00[\x00-\x20].[\x10\x14])", re.DOTALL)
 _CANDIDATE_BYTES = 5
 
@@ -98,7 +99,7 @@ class PackageBoundary:
             return size, need
         kind = buffer[at + 4]
         if kind not in KNOWN_TYPES:
-            # The next package may also have an unknown type, but its size is a small number. Other bytes of a stream
+            # The next package might also have an unknown type, but its size is a small number. Other bytes of a stream
             # seldom form such a small number.
             if there < size + _HEAD.size:
                 return size, size + _HEAD.size
@@ -141,7 +142,7 @@ class PackageBoundary:
             if is_whole or (need and _is_header(buffer, at + size)):
                 self._is_begun = True
                 return at, size, need
-        # The last bytes may be the beginning of a candidate.
+        # The last bytes might be the beginning of a candidate.
         return max(start, end - _CANDIDATE_BYTES + 1), 0, _CANDIDATE_BYTES
 
     def peer(self, buffer: bytes | bytearray) -> str | None:
@@ -199,7 +200,7 @@ class PrimaryProtocol:
 
     @property
     def tails(self) -> int:
-        """Number of those so far that end in bytes which no known layout explains."""
+        """Number of packages, messages and sub-packages so far that end in bytes which no known layout explains."""
         return self._decoder.tails
 
     def decode(self, frame: bytes, stamp: Stamp | None = None) -> State:
@@ -216,7 +217,7 @@ class PrimaryProtocol:
 
 
 def _moment(frame: bytes) -> float | None:
-    """Return the time of a robot state; None for other packages, and on CB2, whose number has an unknown meaning."""
+    """Return the time of a robot state; None for other packages, and on CB2, where its meaning is unknown."""
     at = _HEAD.size if frame[4] == ROBOT_STATE else len(frame)
     while at + _HEAD_AND_TIME.size <= len(frame):
         size, kind, time = _HEAD_AND_TIME.unpack_from(frame, at)

@@ -1,4 +1,4 @@
-"""Robot messages (package type 20) and the other packages of the primary interface.
+"""Robot messages (package type 20), and packages of the primary interface other than robot states.
 
 Older layouts are recognised by their size: if the new layout leaves too few bytes for its text, the old layout is used.
 Sources: docs/protocols/primary.md, sections Robot messages and Other packages, with the evidence for each fact.
@@ -53,7 +53,7 @@ class ProgramLabelMessage(RobotMessage):
 class PopupMessage(RobotMessage):
     """Popup on the teach pendant."""
 
-    # The short form of CB2 is taken from python-urx. The release of the change is not known.
+    # The short form of CB2 is taken from python-urx. It is unknown which release was the first to send the long form.
     request_id: int | None = wire(Int32ub, "", "number of the request", since="3.0")
     requested_type: RequestedType | None = wire(Coded(Int32ub, RequestedType), "", "requested value", since="3.0")
     is_warning: bool = wire(_Bool, "", "it is a warning")
@@ -94,7 +94,7 @@ class RobotCommMessage(RobotMessage):
 
     code: int = wire(Int32sb, "", "number of the report")
     argument: int = wire(Int32sb, "", "argument of the report")
-    # The short form of CB2 is taken from python-urx. The release of the change is not known.
+    # The short form of CB2 is taken from python-urx. It is unknown which release was the first to send the long form.
     report_level: ReportLevel | None = wire(Coded(Int32sb, ReportLevel), "", "severity of the report", since="3.0")
     data_type: ReportDataType | None = wire(Coded(Int32ub, ReportDataType), "", "encoding of the data", since="3.0")
     data: int | None = wire(Int32ub, "", "data, as its 32 bits", since="3.0")

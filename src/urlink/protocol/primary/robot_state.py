@@ -60,7 +60,7 @@ class SubPackage(State):
 class RobotModeData(SubPackage):
     """Modes of the robot and the program, and the allowed speed."""
 
-    timestamp: int = wire(Int64ub, "us", "time since start; CB2 counts something else, likely ms")
+    timestamp: int = wire(Int64ub, "us", "time since start; on CB2 another unit, probably ms")
     is_robot_connected: bool = wire(_Bool, "", "a real robot is connected")
     is_robot_enabled: bool = wire(_Bool, "", "the real robot is enabled")
     is_power_on: bool = wire(_Bool, "", "the robot is powered")
@@ -162,7 +162,8 @@ class CartesianInfo(SubPackage):
     Rx: float = wire(Float64b, "rad", "rotation vector")
     Ry: float = wire(Float64b, "rad", "rotation vector")
     Rz: float = wire(Float64b, "rad", "rotation vector")
-    # Sources disagree whether 3.1 or 3.2 is the first. With 3.2 here, both sizes are accepted from a 3.1 controller.
+    # Sources disagree whether 3.1 or 3.2 was the first release with this field. With 3.2 here, both sizes are accepted
+    # from a 3.1 controller.
     tcp_offset_X: float | None = wire(Float64b, "m", "offset of the tool from the flange", since="3.2")
     tcp_offset_Y: float | None = wire(Float64b, "m", "offset of the tool from the flange", since="3.2")
     tcp_offset_Z: float | None = wire(Float64b, "m", "offset of the tool from the flange", since="3.2")
@@ -264,7 +265,7 @@ class CalibrationData(SubPackage):
 
 @packet(header=PACKAGE, type=10)
 class SafetyData(SubPackage):
-    """Internal to the vendor. The meaning is inferred from three captures and is not documented."""
+    """Undocumented sub-package for the vendor. The meaning of its fields is inferred from three captures."""
 
     checksum: int = wire(Int32ub, "", "checksum of the safety configuration", since="3.5")
     reserved: IntVector = wire(Int8ub[2], "", "unknown", since="3.5")
@@ -295,7 +296,7 @@ class ToolModeInfo(SubPackage):
 
 @packet(header=PACKAGE, type=13)
 class SingularityInfo(SubPackage):
-    """Internal to the vendor. The first release that sends it is not known."""
+    """Undocumented sub-package for the vendor. It is unknown which release was the first to send it."""
 
     severity: int = wire(Int8ub, "", "severity")
     singularity_type: int = wire(Int8ub, "", "type")
@@ -448,10 +449,10 @@ class RobotState(State):
         Raises:
             BadValue: If it is called.
         """
-        raise BadValue("the sub-packages of RobotState vary, so it has no numpy dtype; each of them has its own")
+        raise BadValue("RobotState has no numpy dtype, because its sub-packages vary; use the dtype of a sub-package")
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the name of each sub-package -> its `to_dict()`. The name of an unknown one contains its type."""
+        """Return name of each sub-package -> its `to_dict()`. The name of an unknown sub-package contains its type."""
         return {_key(package): package.to_dict() for package in self.packages}
 
     def __str__(self) -> str:

@@ -14,7 +14,7 @@ from ..enums import JointMode, ProgramState, RobotMode, RobotModeCB2, SafetyMode
 from ..headers import REALTIME
 
 # CB2 and later controllers share the offsets below 396 and from 684 upwards, and order the fields in between
-# differently. No byte shows the order, only the size: packets of up to 812 bytes have this order.
+# differently. Only the size of a packet shows its order: packets of up to 812 bytes have this order.
 _CB2_ORDER = [
     "time",
     "q_target",
@@ -106,8 +106,8 @@ class RealtimeState(State):
     def digital_coding(self) -> str | None:
         """Encoding of `digital_input_bits` by this controller: "integer", "double", or None.
 
-        Public decoders disagree. In the only real packets, all inputs are off, which looks the same in
-        both encodings. If all inputs are off, the result is None.
+        Public decoders disagree. In the only captured packets, all inputs are off, which looks the same
+        in both encodings. If all inputs are off, the result is None.
         """
         at = self._layout.places["digital_input_bits"].offset
         raw = int.from_bytes(self._data[at : at + 8], "big")

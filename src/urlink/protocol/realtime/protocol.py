@@ -43,9 +43,9 @@ class RealtimeBoundary:
     Args:
         learnt: Function that is called with the size when it is new or changes.
 
-    When a lost boundary is searched, the size alone does not prove a packet, because the digital bits in integer coding
-    can have the same bytes, in every packet again. A position is accepted in two cases: it has the size of the
-    connection and a time that continues the last one, or a packet of the same size and with a later time follows it.
+    While a lost boundary is searched, the size alone does not prove a packet, because in integer coding the digital
+    bits can have the same bytes as a size, in every packet. A position is accepted in two cases: it has the size of the
+    connection and a time that continues the last time, or a packet of the same size with a later time follows it.
     """
 
     largest = REALTIME_SIZES.stop - 1 + _HEAD.size
@@ -64,7 +64,7 @@ class RealtimeBoundary:
         return REALTIME_INTERFACE
 
     def whole(self, buffer: bytes | bytearray) -> list[bytes]:
-        """Check only the header of each packet, because all packets have one size in step."""
+        """Check only the header of each packet, because all packets have one size while the boundary is known."""
         size = self.size
         if not self.last:
             return []
@@ -115,7 +115,7 @@ class RealtimeBoundary:
                 continue
             need = size + _HEAD.size
             if end - at < need:
-                # Before then, a packet that continues the time may arrive from the first unchecked position.
+                # Before then, a packet that continues the time might arrive from the first unchecked position.
                 self._judged = end - _HEAD.size + 1 - at
                 return at, 0, min(need, self._judged + self.size) if self.last else need
             next_size, later = _HEAD.unpack_from(buffer, at + size)
@@ -123,7 +123,7 @@ class RealtimeBoundary:
                 self._take(buffer, at, size)
                 return at, size, need
         if timely is None:
-            # The last bytes may be the beginning of a header.
+            # The last bytes might be the beginning of a header.
             return max(start, end - _SIZE_BYTES + 1), 0, _SIZE_BYTES
         if end - timely >= self.size:
             self._take(buffer, timely, self.size)
@@ -193,12 +193,12 @@ class RealtimeProtocol:
             )
         elif is_first:
             decode = RealtimeState.LAYOUTS.decoder(size)
-        # The size is unknown or has changed. In the second case, packets of both sizes may still have to be decoded.
+        # The size is unknown or has changed. If it has changed, there might still be packets of both sizes to decode.
         self.decode = decode or self._any.decode
 
 
 class _AnyLayout:
-    """Decoder for packets of any size, which may have a tail.
+    """Decoder for packets of any size, which might have a tail.
 
     It is not a method of the protocol, because this would create a reference cycle until the first packet arrives.
 
@@ -217,7 +217,7 @@ class _AnyLayout:
 
 
 def periods_of(size: int) -> tuple[float, ...]:
-    """Return the periods of packets of this size in seconds. Several, because CB3 and e-Series share some sizes."""
+    """Return the possible periods of packets of this size, in s: several if CB3 and e-Series share the size."""
     rates = {release.since.rate for release in RELEASES if release.realtime == size}
     return tuple(1.0 / rate for rate in rates or {RELEASES[-1].since.rate})
 

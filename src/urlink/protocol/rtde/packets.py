@@ -1,8 +1,9 @@
 """Packages of RTDE (port 30004): one class for each, its layouts under protocol 1 and 2, and the frame boundaries.
 
 A request and its reply have the same type byte, so the meaning of a package depends on its sender: `decode_request`
-decodes packages of a client, and `decode_reply` those of a controller. The *version* of these layouts is the version of
-the protocol, ``"1.0"`` or ``"2.0"``. A recipe defines the layout of a data package (`urlink.protocol.rtde.recipes`).
+decodes packages of a client, and `decode_reply` decodes packages of a controller. The *version* of these layouts is the
+version of the protocol, ``"1.0"`` or ``"2.0"``. A recipe defines the layout of a data package
+(`urlink.protocol.rtde.recipes`).
 
 A package begins with its size in two bytes and its type in one byte.
 
@@ -53,7 +54,7 @@ def join_names(names: Sequence[str]) -> str:
 
 
 def split_names(text: str) -> tuple[str, ...]:
-    """Split such a list into its names or types.
+    """Split a list of names or types, as it is on the wire.
 
     Real clients put blanks around names, and end the list with a comma. The empty name after it is dropped.
 
@@ -214,7 +215,7 @@ def decode_request(frame: bytes, protocol: Protocol) -> State:
     """Decode one whole package from a client, under the given version of the protocol.
 
     Raises:
-        PacketError: If the type is unknown, or the package is too short for it.
+        PacketError: If the type is unknown, or the package is too short for its type.
     """
     return _decode(frame, REQUESTS, 2 if _ALWAYS_V2.issuperset(frame[2:3]) else protocol, None)
 
@@ -223,17 +224,17 @@ def decode_reply(frame: bytes, protocol: Protocol, stamp: Stamp | None = None) -
     """Decode one whole package from a controller, under the given version of the protocol.
 
     Raises:
-        PacketError: If the type is unknown, or the package is too short for it.
+        PacketError: If the type is unknown, or the package is too short for its type.
     """
     return _decode(frame, REPLIES, protocol, stamp)
 
 
 def _decode(frame: bytes, kinds: Mapping[int, type[State]], protocol: Protocol, stamp: Stamp | None) -> State:
     if len(frame) < HEADER.width:
-        raise PacketError("too short", packet="RTDE package", expected=HEADER.width, actual=len(frame))
+        raise PacketError("the package is too short", packet="RTDE package", expected=HEADER.width, actual=len(frame))
     kind = kinds.get(frame[2])
     if kind is None:
-        raise PacketError(f"unknown type {frame[2]}", packet="RTDE package", offset=2)
+        raise PacketError(f"it has the unknown type {frame[2]}", packet="RTDE package", offset=2)
     try:
         return kind.LAYOUTS.of((protocol, 0)).decode(frame, stamp)  # type: ignore[no-any-return]
     except PacketError as error:  # drop the version: it is a version of the protocol rather than of a firmware
@@ -242,8 +243,8 @@ def _decode(frame: bytes, kinds: Mapping[int, type[State]], protocol: Protocol, 
 
 # -- frame boundaries ------------------------------------------------------------------------------
 
-# Larger packages are not accepted. All 406 variables have 2.9 kB, and their names about 10 kB, in several requests. The
-# reply to 1024 unknown names of one letter would be 10 kB of NOT_FOUND.
+# Larger packages are not accepted. The values of all 406 variables have 2.9 kB, and their names about 10 kB, in several
+# requests. The reply to 1024 unknown names of one letter would be 10 kB of NOT_FOUND.
 _LARGEST = 1 << 14
 
 _HEAD = struct.Struct(">HB")
@@ -265,8 +266,9 @@ REPLY_SIZES: Mapping[int, range] = MappingProxyType({type: _sizes(kind) for type
 class RtdeBoundary:
     """Frame boundaries of the packages from a controller.
 
-    In step, a size is accepted if the type can have it. Out of step, a package is accepted if another package follows
-    it. Packages of unknown types are accepted after the first known package, if another package follows them.
+    While the boundary is known, a package is accepted if its type can have its size. While the boundary is lost, a
+    package is accepted if another package follows it. Packages of unknown types are accepted after the first known
+    package, if another package follows them.
 
     Attributes:
         sizes: Type byte -> possible sizes of a package of this type.
@@ -308,7 +310,7 @@ class RtdeBoundary:
             return size, size
         if sizes is None and self._is_begun and _HEAD.size <= size < _LARGEST:
             return self._followed(buffer, at, size)
-        # At the beginning, the peer may be another service. A few more bytes are needed to recognise it.
+        # At the beginning, the peer might be another service. A few more bytes are needed to recognise it.
         return 0, 0 if self._is_begun else _PEER
 
     def search(self, buffer: bytes | bytearray, start: int) -> tuple[int, int, int]:

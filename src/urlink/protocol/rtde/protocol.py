@@ -2,11 +2,10 @@
 
     V -> v -> O (repeated without the variables that the controller lacks) -> I for each claim -> S -> data packages
 
-The same object serves live connections and recordings. On a live connection, the packages of `requests` are sent. With
-a
-recording, nothing is sent: the requests follow from the plan, so the replies alone are sufficient. A text message or a
-data package can arrive at any time. Neither is taken for a reply (docs/protocols/rtde.md, section What clients really
-send).
+V, v, O, I and S are the types of the requests and their replies. The same object serves live connections and
+recordings. On a live connection, the packages of `requests` are sent. With a recording, nothing is sent: the requests
+follow from the plan, so the replies alone are sufficient. A text message or a data package can arrive at any time.
+Neither is taken for a reply (docs/protocols/rtde.md, section What clients really send).
 """
 
 from __future__ import annotations
@@ -54,7 +53,8 @@ _log = logging.getLogger(__name__)
 
 #: Output variable with the controller's clock, in s.
 CLOCK = "timestamp"
-#: Maximum number of cycles between two data packages that is distinguished, because a frequency can be arbitrarily low.
+#: Maximum number of cycles between two data packages for which a period is considered, because a frequency can be
+#: arbitrarily low.
 _SLOWEST = 1e9
 
 _LEVELS = {
@@ -107,11 +107,11 @@ def check_names(names: Sequence[str]) -> tuple[str, ...]:
             raise BadValue(f"{name!r} is not a valid name of a variable; expected a name such as 'actual_q'")
     twice = sorted({name for name in names if list(names).count(name) > 1})
     if twice:
-        raise BadValue(f"names given more than once: {', '.join(twice)}; pass each name once")
+        raise BadValue(f"{', '.join(twice)} was given more than once; pass each name once")
     size = len(join_names(names))
     if size > LONGEST_NAMES:
         raise BadValue(
-            f"{len(names)} names have {size} bytes; at most {LONGEST_NAMES} fit in one recipe; use several connections"
+            f"the {len(names)} names have {size} bytes; expected at most {LONGEST_NAMES}; use several recipes"
         )
     return tuple(names)
 
@@ -213,7 +213,7 @@ class RtdeProtocol:
 
         Raises:
             RtdeRefused: If the controller refuses a request of the plan.
-            PacketError: If the type is unknown, or the package is too short for it.
+            PacketError: If the type is unknown, or the package is too short for its type.
         """
         state = self._reply(frame, stamp)
         if type(state) is self._awaited:
@@ -224,7 +224,7 @@ class RtdeProtocol:
         try:
             return decode_reply(frame, self.protocol, stamp)
         except PacketError:
-            # A text that was sent just before protocol 2 was accepted has the form of protocol 1.
+            # A text message that was sent just before protocol 2 was accepted has the form of protocol 1.
             if self.protocol == 2 and frame[2:3] == b"M":
                 return decode_reply(frame, 1, stamp)
             raise
@@ -237,7 +237,7 @@ class RtdeProtocol:
             self._ask(ControllerVersionRequest(), ControllerVersionReply)
         elif isinstance(reply, ControllerVersionReply):
             self.controller = Firmware(reply.major, reply.minor, reply.bugfix, reply.build)
-            # The recording begins with its own dialogue, so the recipe that was given for it is not needed.
+            # The recording contains the dialogue itself, so the recipe that was stored with it is not needed.
             self.recipe = self._decode = None
             self._ask_next()
         elif isinstance(reply, OutputsReply):
@@ -290,7 +290,7 @@ class RtdeProtocol:
         if frame[2] == DATA_TYPE:
             recipe = self.recipe
             if self._decode is None or recipe is None:
-                raise PacketError("arrived before its recipe", packet="data package")
+                raise PacketError("it arrived before its recipe", packet="data package")
             if len(frame) != self._size or (recipe.number is not None and frame[3] != recipe.number):
                 recipe.check(frame)
             return self._decode(frame, stamp)
@@ -306,7 +306,7 @@ class RtdeProtocol:
 
 
 def package_periods(frequency: float | None, controller: Firmware | None, number: int | None) -> tuple[float, ...]:
-    """Return the possible periods of data packages in seconds. Several if the controller is not known.
+    """Return the possible periods of data packages, in s. There are several if the controller is unknown.
 
     With protocol 2, the controller sends in every floor(rate / frequency)-th cycle (docs/protocols/rtde.md, section
     Rules).
@@ -365,14 +365,14 @@ def _check(names: Sequence[str], types: Sequence[str], optional: frozenset[str])
         raise NoSuchVariable(f"this controller does not have {', '.join(hints)}", lacking)
     if held:
         raise InputInUse(
-            f"another client or a fieldbus uses {', '.join(held)}; it releases them when it disconnects",
+            f"another client or a fieldbus holds {', '.join(held)}; disconnect that client to release them",
             held,
         )
     return missing
 
 
 def _hint(name: str, type: str) -> str:
-    """Return a name, with a hint about what may be wrong with it."""
+    """Return a name with a hint about the possible error in it."""
     if type != NOT_FOUND:
         return f"{name} (unknown type {type})"
     if name in OUTPUTS or name in INPUTS:

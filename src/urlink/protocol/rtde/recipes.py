@@ -1,7 +1,8 @@
 """Recipes: names and types that are known only at run time, converted to the layout of data packages.
 
-A recipe combines the request of a client and the reply of a controller. Both sides use it. `Recipe.encode` and
-`Recipe.decode` convert values by name. `Recipe.state_class` creates typed states, as fast as those of other interfaces.
+A recipe combines the request of a client and the reply of a controller. Both sides use recipes. `Recipe.encode` and
+`Recipe.decode` convert values by name. `Recipe.state_class` creates typed states, as fast as the states of other
+interfaces.
 """
 
 from __future__ import annotations
@@ -68,8 +69,8 @@ class Recipe(StrictAttributes):
     Args:
         names: Names of the variables; a name may occur twice.
         types: Type of each variable, as the controller reports it.
-        number: Recipe number at the beginning of data packages; None for a controller under protocol 1, which sends
-            none.
+        number: Recipe number at the beginning of data packages; None for a controller under protocol 1, which does not
+            send the number.
         table: Known variables, `OUTPUTS` or `INPUTS`.
 
     Raises:
@@ -131,7 +132,7 @@ class Recipe(StrictAttributes):
         """Decode one whole data package to name -> value: numbers, tuples of numbers, or their enums.
 
         Raises:
-            PacketError: If the size differs from that of the recipe, or the package belongs to another recipe.
+            PacketError: If the size differs from the size of the recipe, or the package belongs to another recipe.
         """
         self.check(data)
         values = self.layout.unpack(data)
@@ -148,14 +149,17 @@ class Recipe(StrictAttributes):
         """Check that a data package belongs to this recipe.
 
         Raises:
-            PacketError: If it has another size, or belongs to another recipe.
+            PacketError: If the package has another size, or belongs to another recipe.
         """
         if len(data) != self.size:
             raise PacketError(
-                f"does not fit recipe {self.number}", packet="data package", expected=self.size, actual=len(data)
+                f"its size is not the size of recipe {self.number}",
+                packet="data package",
+                expected=self.size,
+                actual=len(data),
             )
         if self.number is not None and data[3] != self.number:
-            raise PacketError(f"belongs to recipe {data[3]}, not {self.number}", packet="data package", offset=3)
+            raise PacketError(f"it belongs to recipe {data[3]}, not {self.number}", packet="data package", offset=3)
 
     def state_class(self, base: type[Outputs] = Outputs, left_out: tuple[str, ...] = ()) -> type[Outputs]:
         """Return the class of typed states, derived from `base`, with a property for each variable.

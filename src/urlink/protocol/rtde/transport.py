@@ -1,4 +1,4 @@
-"""RTDE connection as a source of bytes. It starts with a dialogue, whose bytes it returns first.
+"""RTDE connection as a source of bytes. It begins with a dialogue, and returns the bytes of the dialogue first.
 
 Therefore a reader or a recorder of the stream receives every byte from the controller. The first bytes contain the
 recipe.
@@ -116,7 +116,7 @@ class RtdeTransport:
             raise
 
     def _begin(self, dialogue: RtdeDialogue) -> None:
-        """Begin to return the received bytes, and later bytes after them."""
+        """Return the bytes that were received in the dialogue first, and later bytes after them."""
         self._first = dialogue.received
         self.dialogue = dialogue.protocol
 

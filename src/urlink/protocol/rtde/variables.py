@@ -69,7 +69,7 @@ class Variable(NamedTuple):
 def shape_of(variable: Variable | None, type: str) -> Shape:
     """Return the shape of a variable with this type, as the controller reports it.
 
-    The numbers are converted to their meaning if the type is that of the table. If `variable` is None, it is unknown.
+    The numbers are converted to their meaning if the table has the same type. None is an unknown variable.
 
     Raises:
         KeyError: If the type does not exist.

@@ -1,4 +1,4 @@
-"""Faults of a simulated controller: of its arm, its connections, and the bytes on them."""
+"""Faults of a simulated controller. They affect the arm, the connections, or the bytes that are sent over them."""
 
 from __future__ import annotations
 

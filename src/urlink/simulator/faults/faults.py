@@ -1,8 +1,8 @@
-"""Faults of a controller: `Faults` has a method for each, and `FAULTS` lists them by name.
+"""Faults of a controller: `Faults` has one method for each fault, and `FAULTS` lists faults by name.
 
-`FAULTS` contains only the faults that a text can name. Faults of the arm change its modes, as on a real controller.
-Faults of the link change bytes or connections, while the controller itself keeps running. Any thread may call all
-methods. When a method returns, the fault has happened.
+`FAULTS` contains only the faults that a text such as ``"stall=2.5@10"`` can name. Faults of the arm change the modes of
+the controller, as they do on a real controller. Faults of the link change bytes or connections, while the controller
+itself keeps running. Any thread may call these methods. When a method returns, the fault has taken effect.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from .link import LinkFaults
 
 
 def port_names(port: str | None) -> tuple[str, ...]:
-    """Return the port of that name, or all ports.
+    """Return the names of the selected ports: the given name, or all names if it is None.
 
     Raises:
         BadValue: If there is no such port.
@@ -40,22 +40,22 @@ def port_names(port: str | None) -> tuple[str, ...]:
 
 
 def package_ports(port: str | None) -> tuple[str, ...]:
-    """Return the ports of `port_names` whose packages have a type.
+    """Return those ports of `port_names` that send packages with a type: the primary and secondary ports.
 
     Raises:
-        BadValue: If there are none.
+        BadValue: If there are no such ports.
     """
     names = tuple(name for name in port_names(port) if interface_of(name) in ("primary", "secondary"))
     if not names:
-        raise BadValue(f"port={port!r} has no packages with types; expected a primary or secondary port")
+        raise BadValue(f"the packages of port={port!r} have no type; expected a primary or secondary port")
     return names
 
 
 def type_byte(kind: int) -> int:
-    """Check the type of a package.
+    """Check the type of a package, and return it.
 
     Raises:
-        BadValue: If it is not 0 to 255.
+        BadValue: If the type is not 0 to 255.
     """
     if kind not in range(256):
         raise BadValue(f"the package type is {kind!r}; expected 0 to 255")
@@ -63,10 +63,10 @@ def type_byte(kind: int) -> int:
 
 
 def request_byte(letter: str) -> int:
-    """Return the type of an RTDE client's request, given its letter.
+    """Return the type byte of an RTDE request, given the letter of the request.
 
     Raises:
-        BadValue: If the simulator answers no such request.
+        BadValue: If the letter is not one of V, v, O, I, S and P.
     """
     if len(letter) != 1 or letter not in "VvOISP":
         raise BadValue(f"the request is {letter!r}; expected V, v, O, I, S or P")
@@ -74,10 +74,10 @@ def request_byte(letter: str) -> int:
 
 
 def checked_seconds(seconds: float) -> float:
-    """Check a time.
+    """Check a time in seconds, and return it as a float.
 
     Raises:
-        BadValue: If it is negative or not finite.
+        BadValue: If the time is negative or not finite.
     """
     if not 0.0 <= seconds < math.inf:
         raise BadValue(f"the time is {seconds!r}; expected a finite number of seconds, 0 or more")
@@ -85,10 +85,10 @@ def checked_seconds(seconds: float) -> float:
 
 
 def checked_sizes(sizes: Sequence[int]) -> tuple[int, ...]:
-    """Check the sizes of segments.
+    """Check the sizes of segments in bytes, and return them as a tuple.
 
     Raises:
-        BadValue: If there are none, or a size is not a whole number of at least one byte.
+        BadValue: If the sequence is empty, or a size is not a whole number of at least 1.
     """
     if not sizes or any(not isinstance(size, int) or size < 1 for size in sizes):
         raise BadValue(f"the segment sizes are {sizes!r}; expected whole numbers of bytes, at least 1")
@@ -97,7 +97,7 @@ def checked_sizes(sizes: Sequence[int]) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class FaultArgument:
-    """Argument of a fault in a text such as ``"stall=2.5@10"``.
+    """Description of the argument that a fault has in a text such as ``"stall=2.5@10"``.
 
     Attributes:
         read: Function that converts the text to the value.
@@ -110,7 +110,7 @@ class FaultArgument:
     is_optional: bool
 
 
-#: Faults that a text can name -> the argument of each; None for a fault without an argument.
+#: Name of a fault -> its argument in a text; None for a fault without an argument.
 FAULTS: dict[str, FaultArgument | None] = {}
 
 _Method = TypeVar("_Method", bound=Callable[..., None])
@@ -119,7 +119,7 @@ _Method = TypeVar("_Method", bound=Callable[..., None])
 def _listed(
     read: Callable[[str], Any] | None = None, meaning: str = "", *, optional: bool = False
 ) -> Callable[[_Method], _Method]:
-    """Add a method of `Faults` to `FAULTS`, with the function that reads its argument."""
+    """Return a decorator that adds a method of `Faults` to `FAULTS`, with the description of its argument."""
 
     def add(method: _Method) -> _Method:
         FAULTS[method.__name__] = None if read is None else FaultArgument(read, meaning, optional)
@@ -165,7 +165,8 @@ class Faults(StrictAttributes):
         link: Faults of its connections.
         rtde: RTDE interface.
         seed: Seed of random garbage.
-        call: Function that calls a function in the thread that owns the controller, and waits until it returns.
+        call: Function that executes a given function in the thread that owns the controller, and waits for the end of
+            this function.
     """
 
     def __init__(
@@ -189,7 +190,7 @@ class Faults(StrictAttributes):
 
     @_listed()
     def protective_stop(self) -> None:
-        """Cause a protective stop, until `clear`.
+        """Cause a protective stop, which lasts until `clear`.
 
         The arm brakes and comes to rest with its motors on. Its program pauses.
         """
@@ -197,13 +198,14 @@ class Faults(StrictAttributes):
 
     @_listed()
     def safeguard_stop(self, resumes: bool = True) -> None:
-        """Cause a safeguard stop, until `clear`.
+        """Cause a safeguard stop, which lasts until `clear`.
 
-        The arm brakes and comes to rest with its motors on. Its program pauses. Both values of `resumes` are settings
-        of the safety inputs on a real controller.
+        The arm brakes and comes to rest with its motors on. Its program pauses. On a real controller, the safety inputs
+        can be configured for both values of `resumes`.
 
         Args:
-            resumes: Whether the program then continues automatically. If False, `play` must continue it.
+            resumes: Whether the program continues automatically after the stop. If False, the program continues after
+                `play`.
         """
 
         def stop() -> None:
@@ -214,9 +216,9 @@ class Faults(StrictAttributes):
 
     @_listed()
     def emergency_stop(self) -> None:
-        """Cause an emergency stop, until `clear` and then `power_on`.
+        """Cause an emergency stop. `clear` ends it, and then `power_on` switches the arm on again.
 
-        The arm brakes, comes to rest and loses its power. Its program stops.
+        The arm brakes, comes to rest and loses its power. The program stops.
         """
         self._do(lambda: self._state.modes.emergency_stop())
 
@@ -224,18 +226,18 @@ class Faults(StrictAttributes):
     def clear(self) -> None:
         """Unlock a protective stop, end a safeguard stop, or release the emergency stop button.
 
-        After a safeguard stop, the motion continues from rest. After an emergency stop, the power is still off.
+        After a safeguard stop, the motion continues from rest. After an emergency stop, the power stays off.
         """
         self._do(lambda: self._state.modes.clear())
 
     @_listed()
     def power_off(self) -> None:
-        """Switch the arm off: it brakes, comes to rest and loses its power."""
+        """Switch the arm off: the arm brakes, comes to rest and loses its power."""
         self._do(lambda: self._state.modes.power_off())
 
     @_listed()
     def power_on(self) -> None:
-        """Power the arm and release its brakes, after which the motion begins again.
+        """Switch the arm on and release its brakes. The motion then begins again.
 
         No effect in an emergency stop.
         """
@@ -245,12 +247,13 @@ class Faults(StrictAttributes):
 
     @_listed(Firmware.parse, "the firmware after the reboot", optional=True)
     def reboot(self, firmware: Firmware | str | None = None, downtime: float = 1.0) -> None:
-        """Reset all connections, refuse new ones for a time, then come back with the time at 0.
+        """Reboot: reset all connections, refuse new ones for a time, and restart the controller's time at 0.
 
-        The controller comes back running. A real controller waits until it is powered on.
+        After the reboot, the arm is powered and its brakes are released. On a real controller, the arm stays off until
+        it is powered on.
 
         Args:
-            firmware: Firmware after the reboot; None for the current one.
+            firmware: Firmware after the reboot; None selects the current firmware.
             downtime: Time without connections, in s.
 
         Raises:
@@ -266,15 +269,15 @@ class Faults(StrictAttributes):
 
     @_listed(_port, "the port", optional=True)
     def cut(self, port: str | None = None) -> None:
-        """Reset the connections; new ones are accepted immediately."""
+        """Reset the connections. New connections are accepted immediately."""
         names = port_names(port)
         self._do(lambda: self._link.cut(names))
 
     @_listed(_seconds, "seconds")
     def stall(self, seconds: float, port: str | None = None) -> None:
-        """Stay connected and silent for this time.
+        """Keep connections open, but send nothing for this time.
 
-        Packets of this time are lost. New clients are connected, but served only afterwards.
+        Packets that would be sent in this time are lost. New clients can connect, but they are served only afterwards.
 
         Raises:
             BadValue: If the time is negative or not finite.
@@ -286,10 +289,11 @@ class Faults(StrictAttributes):
 
     @_listed(_sizes, "sizes of segments, such as 100+200")
     def split(self, sizes: Sequence[int] | int, port: str | None = None) -> None:
-        """Cut the stream of each connection into segments of these sizes, in turn, until `heal`.
+        """Divide the bytes of each connection into segments of these sizes, used in turn, until `heal`.
 
-        If the rest of a packet does not fill a segment, it waits for the next packet, so packets arrive in parts. A
-        real capture shows `split(1460)`. The receiver might get segments joined again if it does not read in time.
+        If the rest of a packet does not fill a segment, the rest is sent together with the next packet, so packets
+        arrive in parts. A capture of a real controller shows segments like those of `split(1460)`. If the receiver does
+        not read in time, the network might join segments again.
 
         Raises:
             BadValue: If a size is not a whole number of at least 1.
@@ -299,7 +303,7 @@ class Faults(StrictAttributes):
 
     @_listed(_size, "packets per segment")
     def merge(self, count: int, port: str | None = None) -> None:
-        """Send `count` packets at a time as one segment, until `heal`.
+        """Join every `count` packets to one segment, until `heal`.
 
         Raises:
             BadValue: If `count` is not a whole number of at least 1.
@@ -314,12 +318,12 @@ class Faults(StrictAttributes):
 
     @_listed(_size, "number of bytes")
     def garbage(self, data: bytes | int, port: str | None = None, *, inside: bool = False) -> None:
-        """Send bytes that belong to no packet once, before a port's next packet or inside it.
+        """Once, send bytes that belong to no packet, before the next packet of a port or inside this packet.
 
         Args:
             data: The bytes, or a number of random bytes, which depend on the controller's seed.
-            inside: Whether the bytes are inserted in the middle of the next packet; the size field of the packet does
-                not count them.
+            inside: Whether the bytes are inserted in the middle of the next packet. The size field of this packet does
+                not count the inserted bytes.
 
         Raises:
             BadValue: If the number of bytes is less than 1.
@@ -329,14 +333,14 @@ class Faults(StrictAttributes):
 
     @_listed(_size, "number of bytes")
     def append(self, tail: bytes | int, port: str | None = None) -> None:
-        """Append bytes of no known layout to packets, as a newer release does; until `heal`.
+        """Append bytes that no layout describes to packets, as a newer release does, until `heal`.
 
-        Real-time packets grow by the tail, and robot states by one tail per sub-package. Their size fields count the
-        tails. Messages do not change.
+        These bytes are a tail. A real-time packet gets one tail at its end. In a robot state, each sub-package gets one
+        tail. The size fields count the tails. Messages do not change.
 
         Args:
-            tail: The bytes, or a number of random bytes. A newer release appends whole cells of 8 bytes to a real-time
-                packet.
+            tail: The bytes, or a number of random bytes. To a real-time packet, a newer release appends a multiple of 8
+                bytes.
 
         Raises:
             BadValue: If the number of bytes is less than 1.
@@ -346,7 +350,7 @@ class Faults(StrictAttributes):
 
     @_listed(_type, "the type", optional=True)
     def unknown_package(self, kind: int = 99, payload: bytes = b"unknown", port: str | None = None) -> None:
-        """Send a package of this type once, on the primary and secondary ports.
+        """Once, send a package of this type on the primary and secondary ports.
 
         Raises:
             BadValue: If the type is not 0 to 255, or `port` is not a primary or secondary port.
@@ -367,10 +371,10 @@ class Faults(StrictAttributes):
     # -- RTDE ----------------------------------------------------------------------------------------
 
     def rtde_text(self, text: str, source: str = "simulator", level: int = MessageLevel.INFO) -> None:
-        """Send a text message to all RTDE clients, once.
+        """Once, send a text message to all RTDE clients.
 
         Args:
-            text: Text of the message. It is cut after 255 bytes.
+            text: Text of the message. A text of more than 255 bytes is truncated.
             source: Sender of the text, as shown in the message.
             level: Level of the message: 0 exception, 1 error, 2 warning, 3 info.
         """
@@ -378,24 +382,25 @@ class Faults(StrictAttributes):
 
     @_listed()
     def rtde_hello(self, text: str = "SafetySetup has not been confirmed yet") -> None:
-        """Send a text at the beginning of each RTDE connection, until `heal`.
+        """Send a text message at the beginning of each RTDE connection, until `heal`.
 
-        A PolyScope X whose safety was not confirmed does this. The control interface of ur_rtde then cannot connect.
+        A PolyScope X controller does this if its safety configuration has not been confirmed. The control interface of
+        ur_rtde then cannot connect.
         """
         self._disturb(hello=text)
 
     @_listed()
     def rtde_refuse_protocol_2(self) -> None:
-        """Accept only protocol 1, until `heal`."""
+        """Accept only RTDE protocol version 1, until `heal`."""
         self._disturb(protocols=(1,))
 
     @_listed(_request, "the letter of the request", optional=True)
     def rtde_text_before_reply(self, request: str = "S", text: str = "a text before the reply") -> None:
-        """Send a text before each reply to one kind of request, until `heal`.
+        """Send a text message before each reply to requests of one type, until `heal`.
 
         Args:
             request: Letter of the request: V, v, O, I, S or P.
-            text: Text of the message. It is cut after 255 bytes.
+            text: Text of the message. A text of more than 255 bytes is truncated.
 
         Raises:
             BadValue: If there is no such request.
@@ -405,7 +410,7 @@ class Faults(StrictAttributes):
 
     @_listed(_request, "the letter of the request", optional=True)
     def rtde_text_instead_of_reply(self, request: str = "S", text: str = "a text in place of the reply") -> None:
-        """Send a text instead of the reply to the next request of one kind, once.
+        """Once, send a text message instead of the reply to the next request of one type.
 
         Raises:
             BadValue: If there is no such request.
@@ -414,7 +419,7 @@ class Faults(StrictAttributes):
 
     @_listed()
     def rtde_data_before_start(self) -> None:
-        """Send a data package before each reply to a start, until `heal`.
+        """Send a data package before each reply to a start request, until `heal`.
 
         PolyScope X sometimes does this.
         """
@@ -422,17 +427,17 @@ class Faults(StrictAttributes):
 
     @_listed()
     def rtde_refuse_start(self) -> None:
-        """Reject requests to start, until `heal`."""
+        """Reject RTDE start requests, until `heal`."""
         self._disturb(refuses_start=True)
 
     @_listed()
     def rtde_no_data(self) -> None:
-        """Accept a start, but send no data packages, until `heal`."""
+        """Accept RTDE start requests, but send no data packages, until `heal`."""
         self._disturb(sends_no_data=True)
 
     @_listed(_seconds, "seconds")
     def rtde_late_data(self, seconds: float) -> None:
-        """Send data packages this much later than they were made, until `heal`.
+        """Delay RTDE data packages by this time, until `heal`.
 
         Raises:
             BadValue: If the time is negative or not finite.
@@ -441,9 +446,9 @@ class Faults(StrictAttributes):
 
     @_listed(_seconds, "seconds")
     def rtde_stale_inputs(self, seconds: float) -> None:
-        """Keep the inputs of ended connections held for this time, until `heal`.
+        """Keep the inputs of ended RTDE connections claimed for this time, until `heal`.
 
-        Real controllers do this.
+        Real controllers also release the inputs only after a while.
 
         Raises:
             BadValue: If the time is negative or not finite.
@@ -452,7 +457,7 @@ class Faults(StrictAttributes):
 
     @_listed(_request, "the letter of the request", optional=True)
     def rtde_reboot_at_request(self, request: str = "O", downtime: float = 1.0) -> None:
-        """Reboot instead of answering the next request of one kind, in the middle of a handshake.
+        """Reboot instead of replying to the next RTDE request of one type, for example in the middle of a handshake.
 
         Raises:
             BadValue: If there is no such request, or the time is negative or not finite.
@@ -466,7 +471,7 @@ class Faults(StrictAttributes):
     def heal(self) -> None:
         """End all faults of the link and of RTDE.
 
-        Faults of the link are stalls, segments, garbage, tails and unknown sub-packages.
+        The faults of the link are stalls, segments, garbage, tails and unknown sub-packages.
         """
 
         def heal() -> None:

@@ -1,7 +1,7 @@
 """Faults of the connections: silence, cut connections, segments, and unexpected bytes.
 
-They give the server the bytes that a port sends instead of each packet. The bytes look like those from a newer
-controller, a broken controller, or a bad network. The controller itself keeps running.
+For each packet, this module returns the bytes that the server sends instead. These bytes look as if they came from a
+newer controller, from a broken controller, or through a bad network. The controller itself keeps running.
 """
 
 from __future__ import annotations
@@ -13,17 +13,18 @@ from itertools import cycle
 from ...protocol.ports import PORTS, interface_of
 from ..interfaces.interface import package
 
-#: Maximum number of pieces of garbage that are queued for the next packet of a port; the newest are kept.
+#: Maximum number of calls of `insert` that are queued for the next packet of a port. If there are more, the oldest are
+#: dropped.
 _WAITING = 16
 
 
 def with_tail(packet: bytes, tail: bytes) -> bytes:
-    """Return a real-time packet of a newer release, which appends `tail` to it."""
+    """Return a real-time packet with `tail` appended, as a newer release sends it."""
     return (len(packet) + len(tail)).to_bytes(4, "big") + packet[4:] + tail
 
 
 def with_tails(state: bytes, tail: bytes) -> bytes:
-    """Return a robot state in which every sub-package has grown by `tail`."""
+    """Return a robot state with `tail` appended to every sub-package."""
     parts = []
     offset = 5
     while offset < len(state):
@@ -34,30 +35,30 @@ def with_tails(state: bytes, tail: bytes) -> bytes:
 
 
 def with_sub_package(state: bytes, kind: int, payload: bytes) -> bytes:
-    """Return a robot state with one more sub-package at its end."""
+    """Return a robot state with an additional sub-package at its end."""
     return package(state[4], state[5:] + package(kind, payload))
 
 
 def with_garbage_inside(packet: bytes, garbage: bytes) -> bytes:
-    """Return a packet with bytes in its middle that its size field does not count.
+    """Return a packet with `garbage` in its middle, which the size field of the packet does not count.
 
-    The fields after these bytes are shifted.
+    The fields after the garbage are therefore at wrong positions.
     """
     half = len(packet) // 2
     return packet[:half] + garbage + packet[half:]
 
 
 class Segmenter:
-    """Cuts the stream of one connection into segments that are independent of its packets.
+    """Segmenter that divides the bytes of one connection into segments, which do not end where packets end.
 
     >>> cut = Segmenter(sizes=[4, 2])
     >>> cut.put(b"abcde"), cut.put(b"fghij"), cut.rest()
     ([b'abcd'], [b'ef', b'ghij'], b'')
 
     Args:
-        sizes: Sizes of the segments, used in turn. If the rest of a packet does not fill a segment, it waits for the
-            next packet, so the cuts move through the packets.
-        count: Number of packets that make one segment. Not together with `sizes`.
+        sizes: Sizes of the segments, used in turn. If the rest of a packet does not fill a segment, the rest is sent
+            together with the next packet. So the position at which a packet is divided differs from packet to packet.
+        count: Number of packets that are joined to one segment. It is ignored if `sizes` is given.
     """
 
     def __init__(self, sizes: Sequence[int] = (), count: int = 1) -> None:
@@ -83,19 +84,19 @@ class Segmenter:
         return ready
 
     def rest(self) -> bytes:
-        """Return and remove the buffered bytes, to be sent unchanged."""
+        """Return and remove the buffered bytes, which must be sent as they are."""
         held, self._held, self._waiting = self._held, b"", 0
         return held
 
 
 class LinkFaults:
-    """Faults of the links of one controller; used only in the thread that owns the controller.
+    """Faults of all ports of one controller. Use this object only in the thread that owns the controller.
 
     Args:
         cycle: Function that returns the number of the current cycle.
 
     Attributes:
-        segments_changed: Number that changes whenever the segments of any port change.
+        segments_changed: Number that changes whenever the segment settings of any port change.
     """
 
     def __init__(self, cycle: Callable[[], int]) -> None:
@@ -117,25 +118,25 @@ class LinkFaults:
         self._cuts.update(ports)
 
     def stall(self, ports: Iterable[str], cycles: int) -> None:
-        """Make these ports silent for this many cycles."""
+        """Send nothing on these ports for this number of cycles."""
         self._stalled_until.update(dict.fromkeys(ports, self._cycle() + cycles))
 
     def segment(self, ports: Iterable[str], sizes: tuple[int, ...], count: int) -> None:
-        """Cut or join the bytes that these ports send; see `Segmenter`."""
+        """Divide or join the packets that these ports send; see `Segmenter`."""
         self._segments.update(dict.fromkeys(ports, (sizes, count)))
         self.segments_changed += 1
 
     def insert(self, ports: Iterable[str], data: bytes, inside: bool = False) -> None:
-        """Send these bytes once, before the next packet of each port or in the middle of it."""
+        """Once, send these bytes before the next packet of each port, or in the middle of this packet."""
         for name in ports:
             (self._inside if inside else self._before)[name].append(data)
 
     def append(self, ports: Iterable[str], tail: bytes) -> None:
-        """Append a tail to the packets of these ports."""
+        """Append a tail to all packets of these ports."""
         self._tails.update(dict.fromkeys(ports, tail))
 
     def add_sub_package(self, ports: Iterable[str], kind: int, payload: bytes) -> None:
-        """Append a sub-package to the robot states of these ports."""
+        """Append a sub-package to all robot states of these ports."""
         self._sub_packages.update(dict.fromkeys(ports, (kind, payload)))
 
     def heal(self) -> None:
@@ -161,7 +162,7 @@ class LinkFaults:
         return self._cycle() < max(self._stalled_until.values(), default=0)
 
     def take_cuts(self) -> set[str]:
-        """Return the ports whose connections must be reset now."""
+        """Return and clear the ports whose connections must be reset now."""
         cuts, self._cuts = self._cuts, set()
         return cuts
 
@@ -171,7 +172,7 @@ class LinkFaults:
         return None if rule is None else Segmenter(*rule)
 
     def lasting(self, port: str, packet: bytes) -> bytes:
-        """Return a packet with the faults that last: tails and unknown sub-packages."""
+        """Return a packet with the lasting faults applied: tails and unknown sub-packages."""
         tail = self._tails.get(port)
         if interface_of(port) == "realtime":
             return packet if tail is None else with_tail(packet, tail)
@@ -185,7 +186,7 @@ class LinkFaults:
     def on_the_wire(self, port: str, packet: bytes) -> bytes:
         """Return the bytes that this port sends instead of a packet.
 
-        Faults that happen only once are then used up.
+        Faults that happen only once are removed afterwards.
         """
         packet = self.lasting(port, packet)
         inside, before = self._inside[port], self._before[port]

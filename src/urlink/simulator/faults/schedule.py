@@ -1,4 +1,4 @@
-"""Faults at given times: their text form for a command line, and a controller's schedule."""
+"""Scheduled faults: the parser of their text form, and the schedule of a controller."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _log = logging.getLogger("urlink.simulator")
 
 @dataclass(frozen=True)
 class ScheduledFault:
-    """A fault, and the time at which it happens.
+    """Fault that happens at a given time.
 
     Attributes:
         name: Name of a method of `Faults`.
@@ -39,11 +39,11 @@ class ScheduledFault:
 def parse_fault(text: str) -> ScheduledFault:
     """Parse NAME[=ARGUMENT]@SECONDS, such as ``"protective_stop@5"`` or ``"split=100+200@0"``.
 
-    The fault in ``"reboot=5.12@10"`` has an optional argument.
+    Some arguments are optional, such as the firmware in ``"reboot=5.12@10"``.
 
     Raises:
-        BadValue: If there is no such fault, its argument is missing, superfluous or unreadable, or there is no time.
-            The message names the cause.
+        BadValue: If there is no such fault, if the argument is missing, unexpected or cannot be read, or if there is no
+            time. The message names the cause.
 
     >>> parse_fault("stall=2.5@10")
     ScheduledFault(name='stall', arguments=(2.5,), at=10.0)
@@ -75,7 +75,7 @@ def parse_fault(text: str) -> ScheduledFault:
 
 
 def checked(faults: Iterable[str | ScheduledFault], model: Model) -> list[ScheduledFault]:
-    """Parse the texts among the faults, and check all of them for an arm.
+    """Parse the faults that are given as texts, and check that all faults are possible for this model.
 
     Raises:
         BadValue: If `parse_fault` cannot read a text, a fault does not exist, or a reboot names firmware that does not
@@ -116,6 +116,6 @@ class FaultSchedule:
             try:
                 fault.happen(self._do)
             except LocalError as error:
-                # The fault was not parsed but made with arguments that its method does not accept. The controller
-                # continues.
+                # The fault was not parsed from a text, but made with arguments that its method does not accept. The
+                # controller must continue.
                 _log.warning("%s: could not happen: %s", fault, error)

@@ -1,1 +1,1 @@
-"""Interfaces of a simulated controller: handlers without sockets, bytes in, packets out."""
+"""Interfaces of a simulated controller. They process bytes and return packets, without sockets."""

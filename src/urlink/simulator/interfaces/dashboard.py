@@ -1,17 +1,19 @@
-"""Dashboard server of a simulated controller: it answers each line with a line.
+"""Dashboard server of a simulated controller, which replies to each line with one line.
 
 For facts and their evidence, see docs/protocols/dashboard.md. `urlink.protocol.dashboard.commands` contains the
-commands of each firmware, and the form of the replies. Commands act through the controller. The following is assumed:
+commands of each firmware, and the form of the replies. The commands change the state of the controller, or use its
+pendant. The following behaviour is assumed:
 
-- The reply to an unknown command, to a command that this firmware lacks, and to a command with an unexpected argument.
-- The reply to a command without its required text, except `addToLog` and `setUserRole`.
-- Commands that have nothing to do get the usual reply. Examples are `power on` with the power on, `close popup` without
-  a popup, and `unlock protective stop` without a stop.
-- `power on` and `brake release` get a positive reply in an emergency stop, although nothing happens.
-- If `power on` or `brake release` arrives before `power off` is complete, it is executed afterwards.
+- The replies to an unknown command, to a command that this firmware lacks, and to a command with an unexpected
+  argument.
+- The reply to a command whose required text is missing, except the replies to `addToLog` and `setUserRole`.
+- A command that has nothing to do gets the usual reply. Examples are `power on` while the power is on, `close popup`
+  without a popup, and `unlock protective stop` without a stop.
+- During an emergency stop, `power on` and `brake release` get a positive reply, although they have no effect.
+- If `power on` or `brake release` arrives before `power off` is complete, the command is executed after `power off`.
 - A paused program does not count as running, and a program that is being stopped counts as stopped.
-- The prefix `Robotmode: ` before the number that a CB2 controller sends.
-- The date of the software, and the ids and names of reports. Reports are complete immediately.
+- A CB2 controller sends `Robotmode: ` before the number of the mode.
+- The date of the software, and the ids and file names of reports. Reports are complete immediately.
 - `shutdown` only stops the program and switches the arm off. The simulated controller keeps running.
 """
 
@@ -33,7 +35,7 @@ from ..robot.modes import StopState
 from ..state import ControllerState
 from .interface import Interface, InterfaceClient, LineReceiver
 
-#: Seconds after a protective stop before it can be unlocked.
+#: Time after which a protective stop can be unlocked, in seconds.
 UNLOCK_AFTER = 5.0
 #: Maximum number of lines in the log.
 LOG_LINES = 1000
@@ -49,16 +51,16 @@ _STATES = {
 }
 _UNNAMED = "<unnamed>"
 
-# The longest names come first, because `load installation` is not `load` with an argument.
+# The longest names come first, so that `load installation` is not read as `load` with an argument.
 _BY_LENGTH = sorted(COMMANDS.values(), key=lambda command: -len(command.name))
 
 
 class DashboardInterface(Interface):
-    """Dashboard server of one controller, which answers the lines of all its clients.
+    """Dashboard server of one controller, which replies to the lines of all clients.
 
     Args:
         state: State of the controller.
-        pendant: Pendant whose buttons the commands press.
+        pendant: Teach pendant of the controller, which loads, plays, pauses and stops programs.
 
     Attributes:
         user_role: Role of the user on the pendant of a CB3, in lower case.
@@ -73,7 +75,7 @@ class DashboardInterface(Interface):
         self.user_role = "none"
         self.operational_mode = "none"
         self.installation: str | None = None
-        # The methods have the names of the commands. A command without a method must fail here rather than when it
+        # Each command has a method with the same name. If a method is missing, fail here rather than when the command
         # arrives.
         self._actions: dict[str, Callable[[str], str | None]] = {
             name: getattr(self, f"_{name.replace(' ', '_').lower()}") for name in COMMANDS
@@ -97,8 +99,8 @@ class DashboardInterface(Interface):
     def reply(self, line: str) -> str | None:
         """Return the reply to a line, without its line ending.
 
-        None means: send `Disconnected`, and close the connection. Upper and lower case are equivalent, according to the
-        vendor.
+        None means that the caller must send `Disconnected` and close the connection. According to the vendor, upper and
+        lower case are equivalent.
         """
         # Only a newline ends a line on the wire. Replace all other line separators, so that the reply is one line.
         text = " ".join(line.splitlines()).strip()
@@ -109,7 +111,10 @@ class DashboardInterface(Interface):
         return self.carry_out(command.name, argument)
 
     def carry_out(self, name: str, argument: str) -> str | None:
-        """Execute a command of the table, on any firmware, and return its reply; see `reply`."""
+        """Execute a command of `COMMANDS` by its name, and return the reply; see `reply`.
+
+        It is not checked whether the current firmware has this command.
+        """
         if COMMANDS[name].needs_remote_control and self._state.is_local:
             return NOT_IN_REMOTE_CONTROL
         return self._actions[name](argument)
@@ -154,8 +159,8 @@ class DashboardInterface(Interface):
         return "Pausing program" if self._pendant.pause() else "Failed to execute: pause"
 
     def _stop(self, _: str) -> str:
-        # Reply in the same way if no program runs: two clients then send `stop`, and treat any other reply as a
-        # failure.
+        # Reply "Stopped" even if no program runs: two public clients send `stop` in this case, and treat any other
+        # reply as a failure.
         self._pendant.stop()
         return "Stopped"
 
@@ -197,7 +202,8 @@ class DashboardInterface(Interface):
         state = self._state
         if state.modes.stop is StopState.PROTECTIVE:
             since = state.stopped_since
-            # A stop that no cycle has processed yet has just begun. PolyScope X does not make its client wait.
+            # If `since` is None, the stop has just begun, and no cycle has processed it yet. On PolyScope X, clients do
+            # not have to wait.
             is_early = since is None or state.time - since < UNLOCK_AFTER
             if is_early and not state.firmware.is_polyscope_x:
                 return _TOO_EARLY
@@ -274,7 +280,8 @@ class DashboardInterface(Interface):
         return self._state.model.name.removesuffix("e")
 
     def _generate_flight_report(self, kind: str) -> str:
-        # The vendor's own client sends no kind. It is assumed that it then gets the report of the system.
+        # The vendor's own client sends no kind of report. It is assumed that the controller then makes a report of the
+        # system.
         if kind and kind.lower() not in COMMANDS["generate flight report"].choices:
             return _not_understood(f"generate flight report {kind}")
         self._reports += 1
@@ -291,7 +298,7 @@ class DashboardInterface(Interface):
 def _find(text: str) -> tuple[DashboardCommand, str] | None:
     """Return the command at the beginning of a line, and its argument.
 
-    Returns None if there is no such command, or if it takes no argument but has one.
+    Return None if the line begins with no command, or if the line has an argument that the command does not take.
     """
     for command in _BY_LENGTH:
         name, rest = text[: len(command.name)], text[len(command.name) :]
@@ -302,7 +309,7 @@ def _find(text: str) -> tuple[DashboardCommand, str] | None:
 
 
 def _not_understood(text: str) -> str:
-    # Shorten the text, so that the reply is a short line whatever the client sent.
+    # Shorten the text, so that the reply is a short line even if the client has sent a long one.
     return f"{COULD_NOT_UNDERSTAND}: '{text[:200]}'"
 
 

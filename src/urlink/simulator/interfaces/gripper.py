@@ -1,7 +1,7 @@
-"""Gripper interface, port 63352: the Robotiq URCap, which answers lines about the gripper.
+"""Gripper interface, port 63352: the server of the Robotiq URCap, which replies to lines of text.
 
-The replies have the form that public clients and programs of the URCap expect: `ack` has no newline, and a value has
-one.
+The replies have the form that public clients and the programs of the URCap expect: a newline follows a value, but not
+`ack`.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from .interface import Interface, InterfaceClient, LineReceiver
 
 
 class GripperInterface(Interface):
-    """Serves the gripper of one controller.
+    """Interface that serves the gripper of one controller.
 
     Args:
         state: State of the controller.
-        gripper: Mounted gripper. None if this URCap is not installed.
+        gripper: Mounted gripper; None if this URCap is not installed.
     """
 
     def __init__(self, state: ControllerState, gripper: SimulatedGripper | None) -> None:

@@ -1,10 +1,11 @@
-"""Base class of the controller's interfaces, and their common receivers and packets.
+"""Base class of the controller's interfaces, and receivers and packets that several interfaces use.
 
-An `Interface` is sans-IO. It tells the server when it has something to send, and returns the packets. It
-makes an `InterfaceReceiver` for each client, and the server passes the client's bytes to it.
+An `Interface` has no sockets (sans-IO). It reports to the server when packets are due, and returns these packets. For
+each client, the interface makes an `InterfaceReceiver`, and the server passes the bytes of the client to this receiver.
 
-A `Form` is a packet that is laid out once, according to its schema in `urlink.protocol`, and filled in many times. This
-matters because a controller packs hundreds of packets per second.
+A `Form` is a packet template. The positions of the fields are computed once, according to the schema in
+`urlink.protocol`. Then the template is filled in many times. This saves time, because a controller makes hundreds of
+packets per second.
 """
 
 from __future__ import annotations
@@ -21,21 +22,21 @@ from urlink.protocol.headers import PACKAGE
 from ..programs.loader import LineAssembler
 from ..state import Counters
 
-#: Field names -> plain numbers, or lists of them.
+#: Field name -> plain number, or list of plain numbers.
 Fields = Mapping[str, Any]
 
 
 class Form:
-    """A packet of one layout and fixed size that is filled in and packed many times.
+    """Template for packets of one layout with a fixed size, which is filled in and packed many times.
 
-    It returns the bytes of `Layout.encode` in a tenth of the time, because unchanged values are kept and one `struct`
-    packs all of them. Values are plain numbers and lists of them. Only `struct` checks them. The first packet must name
-    every field.
+    `pack` returns the same bytes as `Layout.encode` in a tenth of the time, because unchanged values are kept and one
+    `struct` packs all values. A value is a plain number or a list of plain numbers. Only `struct` checks the values.
+    The first packet must contain a value for every field.
     """
 
     def __init__(self, layout: Layout) -> None:
         codes: list[str] = [""] * sum(place.count or 1 for place in layout.places.values())
-        self._layout: Layout | None = layout  # None after the first packet, which names every field
+        self._layout: Layout | None = layout  # None after the first packet, which has a value for every field
         self._values: list[Any] = [0] * len(codes)
         self._at: dict[str, int | slice] = {}
         for name, place in layout.places.items():
@@ -52,9 +53,9 @@ class Form:
         self._header = header
 
     def pack(self, fields: Fields) -> bytes:
-        """Return the packet with these fields.
+        """Return the packet with these field values.
 
-        Other fields keep their values. Fields that are not in the layout are skipped.
+        Other fields keep their values. Fields that are not in the layout are ignored.
 
         Raises:
             BadValue: If this is the first packet, and a field has no value.
@@ -71,7 +72,7 @@ class Form:
 
 
 def package(kind: int, body: bytes) -> bytes:
-    """Return a package or sub-package of the primary and secondary interface."""
+    """Return a package or sub-package of the primary and secondary interfaces, with its size and type in front."""
     return PACKAGE.pack(size=PACKAGE.width + len(body), type=kind) + body
 
 
@@ -80,7 +81,7 @@ LONGEST_LINE = 1 << 16
 
 
 class InterfaceClient(Protocol):
-    """One connection, as an interface sees it."""
+    """Connection of one client, with the methods that an interface needs."""
 
     @property
     def is_open(self) -> bool:
@@ -88,50 +89,51 @@ class InterfaceClient(Protocol):
 
     @property
     def pending(self) -> int:
-        """Number of sent bytes that are still buffered, because the client does not read."""
+        """Number of sent bytes that are still buffered because the client has not read them."""
 
     def send(self, packet: bytes) -> None:
         """Send a packet or a reply."""
 
     def finish(self) -> None:
-        """Close the connection when all sent bytes have been accepted."""
+        """Close the connection when all sent bytes have left the buffer."""
 
     def drop(self) -> None:
         """Close the connection now, with a reset."""
 
 
 class InterfaceReceiver(ABC):
-    """Receives the bytes of one client."""
+    """Receiver of the bytes that one client sends."""
 
     @abstractmethod
     def feed(self, data: bytes) -> None:
-        """Handle bytes as they arrive, in chunks of any size."""
+        """Process received bytes, in chunks of any size."""
 
     def end(self) -> None:
-        """Handle the end of the connection."""
+        """Process the end of the connection."""
         return None
 
 
 class Interface(ABC):
     """One interface of the controller.
 
-    By default, every firmware has the interface, and it only answers. Subclasses change this.
+    By default, every firmware has the interface, and the interface only replies to clients. Subclasses can override
+    this.
     """
 
     def is_offered(self) -> bool:
-        """Whether the current firmware has this interface; if not, connections are refused."""
+        """Whether the current firmware has this interface. If not, connections are refused."""
         return True
 
     def greeting(self) -> list[bytes]:
-        """Return the packets at the beginning of a connection."""
+        """Return the packets that are sent at the beginning of a connection."""
         return []
 
     def next_cycle(self, cycle: int) -> int | None:
-        """Return the first cycle after this one with packets for all clients; None if unknown."""
+        """Return the first cycle after this one in which packets are due; None if no packet is planned."""
         return None
 
     def packets(self, cycle: int) -> list[bytes]:
-        """Return the packets that have become due for all clients since the last call.
+        """Return the packets that have become due since the last call, and that all clients must receive.
 
         The server calls this in each cycle while a client is connected, except in cycles that are far too late. If
         clients need different packets, the interface sends them itself and returns none.
@@ -148,7 +150,7 @@ class Interface(ABC):
 
 
 class ReadOnlyReceiver(InterfaceReceiver):
-    """Receiver of the read-only ports, which counts bytes and otherwise ignores them."""
+    """Receiver of the read-only ports, which counts received bytes and ignores them."""
 
     def __init__(self, counters: Counters) -> None:
         self._counters = counters
@@ -158,11 +160,11 @@ class ReadOnlyReceiver(InterfaceReceiver):
 
 
 class LineReceiver(InterfaceReceiver):
-    """Splits received bytes into lines.
+    """Receiver that splits bytes into lines.
 
     Args:
-        client: Client that sends the bytes. After it was closed, they are ignored.
-        counters: Counters of discarded bytes, for lines that are too long.
+        client: Client that sends the bytes. After its connection was closed, its bytes are ignored.
+        counters: Counters to which the bytes of lines that are too long are added.
         on_line: Function that is called with each line, without its line ending.
     """
 
@@ -196,14 +198,14 @@ class LineReceiver(InterfaceReceiver):
 
 
 class ScriptReceiver(LineReceiver):
-    """Assembles programs from the lines of a primary, secondary or real-time client.
+    """Receiver that assembles programs from the lines of a primary, secondary or real-time client.
 
     Args:
         client: Client that sends the lines.
-        counters: Counters of discarded bytes.
+        counters: Counters to which discarded bytes are added.
         on_line: Function that is called with each line.
-        on_program: Function that is called with the text of each whole program. It returns False if it discarded the
-            program.
+        on_program: Function that is called with the text of each complete program. It returns False if it has discarded
+            the program.
     """
 
     def __init__(

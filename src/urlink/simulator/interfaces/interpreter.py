@@ -1,7 +1,7 @@
-"""Interpreter mode, port 30020: accepts URScript statements, and replies with their status.
+"""Interpreter mode, port 30020, which accepts URScript statements and replies with their status.
 
-Assumptions: nothing is sent on connecting, statements are discarded in local control, and all numbers are 0 if no
-program runs.
+Three things are assumed. Nothing is sent at the beginning of a connection. In local control, statements are discarded.
+If no program runs, all numbers in replies are 0.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ SINCE = Since("5.10")
 
 
 class InterpreterInterface(Interface):
-    """Passes statements to the running program.
+    """Interpreter mode of one controller, which passes statements to the running program.
 
     Args:
         state: State of the controller.
@@ -40,7 +40,7 @@ class InterpreterInterface(Interface):
         return LineReceiver(client, self._state.counters, answer)
 
     def reply(self, line: str) -> str:
-        """Return the reply to a line, without its line ending; empty for an empty line."""
+        """Return the reply to a line, without a line ending. The reply to an empty line is empty."""
         # Only a newline ends a line on the wire. Replace all other line separators, so that the reply is one line.
         text = " ".join(line.splitlines()).strip()
         if not text:

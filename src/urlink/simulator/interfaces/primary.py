@@ -1,7 +1,7 @@
-"""Primary and secondary interface, ports 30001 and 30002: ten robot states per second.
+"""Primary and secondary interfaces, ports 30001 and 30002, which send ten robot states per second.
 
-The primary interface also sends messages. For sizes and order of the sub-packages, see docs/protocols/primary.md, Robot
-state. Comments mark the values that were read from captures.
+The primary interface also sends messages. For the sizes and the order of the sub-packages, see
+docs/protocols/primary.md, Robot state. Comments mark values that were taken from captures.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ STATE_RATE = 10
 
 
 class StatePackages:
-    """Robot states of one controller, which both interfaces send.
+    """Robot states of one controller. The primary and the secondary interface send the same states.
 
     Args:
         state: State of the controller.
@@ -39,18 +39,18 @@ class StatePackages:
         self._first_only: frozenset[int] = frozenset()
         self._forms: dict[int, Form] = {}
         self._unchanging: dict[int, bytes] = {}
-        # Cycle, and the packet that both interfaces send in it.
+        # Latest cycle with a packet, and the packet that both interfaces send in this cycle.
         self._made: tuple[int, bytes] = (-1, b"")
-        # Safety mode of the latest packet.
+        # Safety mode in the latest packet.
         self._shown: SafetyMode | None = None
 
     def next_cycle(self, cycle: int) -> int:
-        """Return the first cycle after this one that sends a state."""
+        """Return the first cycle after this one in which a state is sent."""
         rate = self._state.rate
         return -(-(cycle * STATE_RATE // rate + 1) * rate // STATE_RATE)
 
     def of_cycle(self, cycle: int) -> bytes:
-        """Return the state of this cycle, with the same bytes for both interfaces."""
+        """Return the robot state of this cycle; both interfaces get the same bytes."""
         if self._made[0] != cycle:
             self._made = cycle, self.package()
             self._shown = self._state.modes.safety_mode
@@ -58,11 +58,11 @@ class StatePackages:
 
     @property
     def is_outdated(self) -> bool:
-        """Whether the safety mode has changed since the latest state."""
+        """Whether the safety mode has changed since the latest packet."""
         return self._shown is not self._state.modes.safety_mode
 
     def package(self, first: bool = False) -> bytes:
-        """Return the state of this cycle.
+        """Return the robot state of this cycle.
 
         Args:
             first: Whether to return the state for a new connection, which includes kinematics and configuration.
@@ -83,7 +83,7 @@ class StatePackages:
         self._first_only = frozenset(release.first_state_only)
         self._forms.clear()
         for kind, size in release.state.items():
-            # If a type number had two meanings, the size distinguishes them.
+            # Some type numbers have had two meanings, which the size distinguishes.
             for cls in SUB_PACKAGES[kind]:
                 layouts = [layout for layout in cls.LAYOUTS.all if layout.size == size]
                 if layouts:
@@ -99,7 +99,7 @@ class SecondaryInterface(Interface):
     Args:
         state: State of the controller.
         states: Robot states to send.
-        receiver: Function that makes the receiver of a client, given the name of the interface.
+        receiver: Function that makes the receiver for a client, given the name of the interface and the client.
     """
 
     _NAME = "secondary"
@@ -110,7 +110,7 @@ class SecondaryInterface(Interface):
         self._state = state
         self._states = states
         self._make_receiver = receiver
-        # Latest cycle that sent all due packets to the clients.
+        # Latest cycle in which all due packets were sent; None while no client is connected.
         self._served: int | None = None
 
     def greeting(self) -> list[bytes]:
@@ -131,14 +131,14 @@ class SecondaryInterface(Interface):
 
 
 class PrimaryInterface(SecondaryInterface):
-    """Primary interface of one controller: the secondary interface, plus robot messages."""
+    """Primary interface of one controller, which sends robot messages in addition to robot states."""
 
     _NAME = "primary"
 
     def packets(self, cycle: int) -> list[bytes]:
-        # Send the state before the messages about it: a change of the safety mode also sends an extra state. The
-        # vendor's primary client takes the message as a sign that its latest state shows the stop. The order of the two
-        # on a real controller is unknown.
+        # After a change of the safety mode, send an additional state before the message about the change. When the
+        # vendor's primary client receives this message, it expects that the latest state already shows the stop. The
+        # order of the state and the message on a real controller is unknown.
         messages, states = self._state.outbox.take(), super().packets(cycle)
         if messages and not states and self._states.is_outdated:
             states = [self._states.of_cycle(cycle)]
@@ -155,7 +155,7 @@ class PrimaryInterface(SecondaryInterface):
 def _robot_mode(state: ControllerState) -> Fields:
     modes, firmware = state.modes, state.firmware
     playing = modes.program_state.name
-    # Captured CB2 stamps are too small for microseconds; milliseconds are assumed.
+    # The time stamps in CB2 captures are too small to be microseconds, so milliseconds are assumed.
     unit = 1e3 if firmware.is_cb2 else 1e6
     return {
         "timestamp": round(state.time * unit),
@@ -171,13 +171,13 @@ def _robot_mode(state: ControllerState) -> Fields:
         "target_speed_fraction": state.speed_fraction,
         "speed_scaling": state.speed_scaling,
         "target_speed_fraction_limit": 1.0,
-        "reserved": 0,  # internal to the vendor, so assumed to be zero
+        "reserved": 0,  # a field that only the vendor uses, so zero is assumed
     }
 
 
 def _joint_data(state: ControllerState) -> Fields:
     s = state.arm.sample
-    # Captures show that the electronics of CB joints are about 20 K warmer than the motors. The e-Series sends zeros.
+    # In captures, the electronics of CB joints are about 20 K warmer than the motors. The e-Series sends zeros.
     micro = [0.0] * 6 if state.firmware.is_e_series else [t + 22.0 for t in s.T_motor]
     return {
         "q_actual": s.q_actual,
@@ -247,23 +247,23 @@ def _cartesian(state: ControllerState) -> Fields:
 
 def _kinematics(state: ControllerState) -> Fields:
     table = np.array([getattr(state.kinematics.table, name) for name in DhTable._fields])
-    # All ones means not calibrated, as simulated controllers send it. The real computation of the checksum is unknown;
-    # this one is assumed.
+    # Simulated controllers of the vendor send a checksum with all bits set if the arm is not calibrated. For calibrated
+    # arms, the real computation of the checksum is unknown. The computation here is assumed.
     is_calibrated = state.kinematics.is_calibrated
     checksum = [zlib.crc32(row.tobytes()) for row in table.T] if is_calibrated else [0xFFFFFFFF] * 6
     return {
         "checksum": checksum,
         **dict(zip(DhTable._fields, table.tolist(), strict=True)),
-        "calibration_status": 0,  # assumed
-        # The oldest firmware stores the pose of its laser pointer here. These are the bytes of the only capture.
+        "calibration_status": 0,  # assumed value
+        # In this field, the oldest firmware sends the pose of a laser pointer. These values are from the only capture.
         "pointer": [1000.0] * 3,
     }
 
 
 def _configuration(state: ControllerState) -> Fields:
     model = state.model
-    # A controller reports limits that are wider than in the manual by its safety tolerance. The value for an endless
-    # joint is assumed.
+    # The reported limits are wider than the limits in the manual: the difference is the safety tolerance. The limit of
+    # a joint without end stops is assumed.
     margin, faster = (0.0523599, 0.2) if state.firmware.is_e_series else (0.0, 0.0)
     lowest, highest = (side.clip(-1e3, 1e3).tolist() for side in model.position_limits.T)
     return {
@@ -271,7 +271,7 @@ def _configuration(state: ControllerState) -> Fields:
         "joint_max_limit": [limit + margin for limit in highest],
         "joint_max_speed": [speed + faster for speed in model.max_speed.tolist()],
         "joint_max_acceleration": model.max_acceleration.tolist(),
-        # The values are the same in the captures of both generations.
+        # The captures of both generations contain the same values.
         "v_joint_default": 1.0471975511965976,
         "a_joint_default": 1.3962634015954636,
         "v_tool_default": 0.25,
@@ -283,7 +283,7 @@ def _configuration(state: ControllerState) -> Fields:
         "robot_type": model.robot_type,
         "robot_sub_type": 3 if state.firmware.is_e_series else 1,
         "motor_type": [2] * 6,
-        "reserved": [0, 0],  # internal to the vendor, so assumed to be zero
+        "reserved": [0, 0],  # a field that only the vendor uses, so zero is assumed
     }
 
 
@@ -294,7 +294,7 @@ def _force_mode(state: ControllerState) -> Fields:
 
 
 def _additional(state: ControllerState) -> Fields:
-    # These are the bytes of the captures.
+    # These values are from captures.
     return {
         "ctrl_bits": 0x00014007,
         "teach_button": 1,
@@ -326,11 +326,12 @@ def _tool_mode(state: ControllerState) -> Fields:
     }
 
 
-#: Checksum of the safety configuration: one invented number, in both places that have the same number in captures.
+#: Invented checksum of the safety configuration. Two sub-packages contain it, as in captures.
 _CHECKSUM = 0x5AFE0001
 
-# Distance along the axis of the shoulder, and radius, in m. Read from a simulated UR5e and UR3e. On CB3, both are zero
-# in the only capture. The values of the larger e-Series arms are assumed.
+# Sphere around the elbow in the safety data: distance from the elbow along the axis of the shoulder, and radius, in m.
+# The values of UR5e and UR3e were read from simulated controllers. In the only capture of a CB3, both values are zero.
+# The values of the larger e-Series arms are assumed.
 _ELBOW_SPHERE = {"UR5e": (0.093, 0.13), "UR3e": (0.080, 0.1)}
 _ELBOW_SPHERE_ELSE = {"CB": (0.0, 0.0), "e": (0.1, 0.15)}
 
@@ -349,5 +350,6 @@ _UNCHANGING: dict[int, Callable[[ControllerState], Fields]] = {
     5: _kinematics,
     6: _configuration,
     8: _additional,
-    9: lambda state: dict.fromkeys(CalibrationData.FIELDS, 0.0),  # internal to the vendor; assumed
+    # The vendor does not publish the meaning of these fields; zeros are assumed.
+    9: lambda state: dict.fromkeys(CalibrationData.FIELDS, 0.0),
 }

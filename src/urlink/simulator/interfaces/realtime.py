@@ -1,4 +1,4 @@
-"""Real-time interface, port 30003: one packet per cycle and no greeting.
+"""Real-time interface, port 30003. It sends one packet per cycle, and nothing else at the beginning of a connection.
 
 See docs/protocols/realtime.md.
 """
@@ -41,7 +41,7 @@ class RealtimeInterface(Interface):
     def packet(self) -> bytes:
         """Return the packet of this cycle."""
         firmware = self._state.firmware
-        if self._form is None or self._firmware is not firmware:  # after a reboot into another firmware
+        if self._form is None or self._firmware is not firmware:  # initially, and after a reboot into another firmware
             self._form, self._firmware = Form(RealtimeState.LAYOUTS.of(firmware)), firmware
         return self._form.pack(_fields(self._state))
 
@@ -86,7 +86,7 @@ def _fields(state: ControllerState) -> Fields:
         "payload_mass": arm.payload,
         "payload_cog": arm.payload_cog,
         "payload_inertia": arm.payload_inertia,
-        # These fields are internal to the vendor, or unused; zero is assumed.
+        # These fields are unused, or have a meaning that only the vendor knows; zero is assumed.
         "test_value": 0.0,
         "unused": [0.0] * 15,
         "reserved_a": [0.0] * 6,

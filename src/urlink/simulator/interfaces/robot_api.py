@@ -1,18 +1,20 @@
-"""Robot API of a simulated PolyScope X: one HTTP request and one JSON answer per connection.
+"""Robot API of a simulated PolyScope X controller: one HTTP request and one JSON response per connection.
 
-The requests are in the table of `urlink.protocol.dashboard.robot_api`. Each does the same as the dashboard command of
-that name. The vendor's integration tests show three facts. Programs can be uploaded even in local control. A new
-program whose name exists is rejected with 400. A protective stop can be unlocked immediately.
+The table in `urlink.protocol.dashboard.robot_api` lists the requests. Each request has the same effect as the dashboard
+command with the same name. The vendor's integration tests show three facts. Programs can be uploaded even in local
+control. The upload of a new program is rejected with status 400 if a program with this name already exists. A
+protective stop can be unlocked immediately.
 
 Assumptions:
 
-- Status and body of other rejections. The status is 400 if the request cannot be read, and 403 in local control. It is
-  404 if the object does not exist, 405 for another method, and 409 if the action is currently impossible.
-- Actions are answered immediately.
-- The version of the API before 10.12.
+- The status and the body of other error responses. The status is 400 if the request cannot be read, 403 in local
+  control, and 404 if the object does not exist. It is 405 if the method is not allowed, and 409 if the action is
+  currently impossible.
+- The response to an action is sent immediately.
+- The version of the API on firmware before 10.12.
 - The name of the control mode other than REMOTE.
-- An uploaded program is sent back unchanged.
-- The dates and the state of a program in the list.
+- A download returns an uploaded program unchanged.
+- The dates and the state of each program in the list of programs.
 """
 
 from __future__ import annotations
@@ -34,7 +36,7 @@ from ..state import ControllerState
 from .dashboard import DashboardInterface
 from .interface import Interface, InterfaceClient, InterfaceReceiver
 
-#: Commands of the API -> commands of the dashboard with another name.
+#: Command of the API -> dashboard command, if their names differ.
 _COMMANDS = {"resume": "play"}
 
 
@@ -54,7 +56,7 @@ class RobotApiInterface(Interface):
         self._state = state
         self._pendant = pendant
         self._dashboard = dashboard
-        # Name of an uploaded program -> time of its first upload and of its last replacement, in ms since the
+        # Name of an uploaded program -> time of the first upload, or of the last replacement, in ms since the
         # controller came up.
         self._created: dict[str, int] = {}
         self._modified: dict[str, int] = {}
@@ -67,10 +69,10 @@ class RobotApiInterface(Interface):
         return _Exchange(self, client)
 
     def respond(self, request: HttpRequest) -> HttpResponse:
-        """Return the answer to a request."""
+        """Return the response to a request."""
         path = request.target.partition("?")[0]
         if path == f"{BASE}/openapi.json":
-            # The vendor's client, which requests the version, confirms the first two entries.
+            # The first two entries are confirmed by the vendor's client, which requests the version.
             versions = {(10, 14): "5.0.107", (10, 12): "3.1.4", (10, 11): "3.0.0"}
             version = next(text for since, text in versions.items() if self._state.firmware >= since)
             return _answer(200, {"openapi": "3.0.3", "info": {"title": "Robot API", "version": version}})
@@ -88,7 +90,7 @@ class RobotApiInterface(Interface):
         return self._change(fitting, request.body)
 
     def _programs(self, request: HttpRequest, name: str) -> HttpResponse:
-        """Answer requests about the programs on the pendant: list, download, upload."""
+        """Return the response to a request that lists, downloads or uploads programs of the pendant."""
         files = self._pendant.files
         if name:
             wanted = unquote(name)
@@ -122,9 +124,9 @@ class RobotApiInterface(Interface):
         return round(1000 * self._state.time)
 
     def _described(self, name: str) -> dict[str, str | int | None]:
-        """Describe a program for the list.
+        """Return the description of a program for the list of programs.
 
-        Strings and numbers are never null, except the date of an event that never happened.
+        Only the date of an event that has never happened is null.
         """
         created, modified = self._created.get(name, 0), self._modified.get(name)
         is_loaded = self._state.loaded == name
@@ -177,7 +179,7 @@ class RobotApiInterface(Interface):
 
 
 class _Exchange(InterfaceReceiver):
-    """The only request of a connection."""
+    """Receiver of the only request of a connection."""
 
     def __init__(self, interface: RobotApiInterface, client: InterfaceClient) -> None:
         self._interface = interface

@@ -1,24 +1,27 @@
-"""RTDE, port 30004: variables by name, for many clients, each with its own recipes.
+"""RTDE interface, port 30004. Many clients can read and write variables by name, each with its own recipes.
 
 See docs/protocols/rtde.md. The following is known from the vendor's documents, and from clients that run against real
 controllers:
 
-- Names are trimmed, and the text after a trailing comma is not a name. Unknown names have the type NOT_FOUND, and held
-  inputs IN_USE. A recipe with such a name is rejected with the number 0, or, with protocol 1, with the word only.
-- Output packages are sent in every floor(rate / frequency)-th cycle. A second output recipe replaces the first.
-- Input recipes are numbered from 1 in the order of the requests, including rejected ones, because a client relies on
-  this. The maximum is 255.
-- Data packages are accepted before a start and without an output recipe. A package that is longer than its recipe is
-  read up to the length of the recipe. Other invalid packages do no harm.
-- The controller drops data packages instead of queuing them, and closes the connection of a client that does not read.
+- Spaces around names are ignored, and so is a trailing comma. The reply contains NOT_FOUND instead of a type for an
+  unknown name, and IN_USE for an input that another client has claimed. A recipe with such a name is rejected: its
+  number in the reply is 0. With protocol 1, the reply has no number, so only the words show the rejection.
+- There are floor(rate / frequency) cycles from one output package to the next. A second output recipe replaces the
+  first.
+- Input recipes are numbered from 1 in the order of the requests, and rejected requests count too. A public client
+  relies on this numbering. The maximum number is 255.
+- Data packages from clients are accepted even before a start, and without an output recipe. If a package is longer than
+  its recipe, the additional bytes are ignored. Other invalid packages are ignored.
+- If a client does not read, the controller drops data packages instead of queuing them, and finally closes the
+  connection.
 
 Assumptions:
 
-- Requests of a wrong size, unknown types and text messages get no reply.
-- A package whose size field is smaller than its own header ends the connection.
-- A change of the protocol ends the output recipe.
+- Requests with a wrong size or an unknown type get no reply. Text messages get no reply either.
+- If the size field of a package is smaller than the size of a header, the connection is closed.
+- A change of the protocol version deletes the output recipe.
 - A recipe is rejected if it has no names, too many bytes of names, or a frequency of zero or less.
-- A client is disconnected if it does not read for `UNREAD` seconds.
+- A client that does not read for `UNREAD` seconds is disconnected.
 """
 
 from __future__ import annotations
@@ -65,34 +68,36 @@ from .interface import Form, Interface, InterfaceClient, InterfaceReceiver
 
 _log = logging.getLogger("urlink.simulator")
 
-#: First firmware with RTDE. Sources name 3.2 to 3.4; the oldest variables are from 3.3.
+#: First firmware with RTDE. Different sources name 3.2, 3.3 or 3.4; the oldest variables are from 3.3.
 SINCE = Since("3.3/5.0")
 #: Data packages per second with protocol 1.
 RATE_1 = 125
-#: Frequency, in Hz, below which a client effectively requests no data packages: one per year.
+#: Lowest frequency that is used, in Hz: one data package per year. Lower requested frequencies are raised to this
+#: value.
 LEAST_FREQUENCY = 3e-8
-#: Sender of the simulator's text messages.
+#: Sender that the simulator's text messages show.
 SOURCE = "simulator"
-#: Maximum number of bytes of names in one request (vendor's documents).
+#: Maximum number of bytes that the names in one request have (vendor's documents).
 MOST_NAMES = 2048
-#: Seconds until a client is disconnected if all of its data packages are dropped.
+#: Time in seconds after which a client is disconnected if all of its data packages are dropped.
 UNREAD = 2.0
 
 
 @dataclass
 class Disturbance:
-    """Current faults of this interface; see `urlink.simulator.Faults`.
+    """Current faults of the RTDE interface; see `urlink.simulator.Faults`.
 
     Attributes:
-        hello: Text at the beginning of each connection; "" for none.
+        hello: Text message that is sent at the beginning of each connection; "" for no message.
         protocols: Accepted protocol versions.
-        text_before: Type of a request -> text that is sent before each reply to it.
-        data_before_start: Whether a data package is sent before each reply to a start.
-        instead: Type of a request -> function that is called once, instead of sending the next reply to it.
-        refuses_start: Whether requests to start are rejected.
-        sends_no_data: Whether no data packages are sent after an accepted start.
+        text_before: Type of a request -> text message that is sent before each reply to such a request.
+        data_before_start: Whether a data package is sent before each reply to a start request.
+        instead: Type of a request -> function that is called once, instead of replying to the next request of this
+            type.
+        refuses_start: Whether start requests are rejected.
+        sends_no_data: Whether data packages are suppressed, although a start request was accepted.
         late: Delay of data packages, in cycles.
-        stale: Number of cycles that the inputs of an ended connection stay held.
+        stale: Number of cycles for which the inputs of an ended connection stay claimed.
     """
 
     hello: str = ""
@@ -107,7 +112,7 @@ class Disturbance:
 
 
 class RtdeInterface(Interface):
-    """RTDE of one controller.
+    """RTDE interface of one controller.
 
     Args:
         state: State of the controller.
@@ -136,7 +141,7 @@ class RtdeInterface(Interface):
         return min(wanted, default=None)
 
     def packets(self, cycle: int) -> list[bytes]:
-        """Send each client the outputs of its own recipes; returns no packets for all clients."""
+        """Send each client the outputs of its own recipe. Return no packets, because none is for all clients."""
         for session in list(self.sessions):
             session.advance(cycle)
         return []
@@ -169,13 +174,13 @@ class _Outputs:
 
 
 class RtdeSession(InterfaceReceiver):
-    """One connection: its protocol, its recipes, and whether it is started.
+    """Connection of one RTDE client, with its protocol version and its recipes.
 
-    It is sans-IO: it uses bytes and cycles, but no socket.
+    The session has no socket (sans-IO): it processes bytes and cycles.
 
     Attributes:
-        protocol: Protocol version: 1, until the client requests 2.
-        is_started: Whether data packages are sent.
+        protocol: Protocol version. It is 1 until the client requests 2.
+        is_started: Whether the client has started the data packages.
     """
 
     def __init__(self, interface: RtdeInterface, client: InterfaceClient) -> None:
@@ -205,7 +210,7 @@ class RtdeSession(InterfaceReceiver):
     # -- input ---------------------------------------------------------------------------------------
 
     def feed(self, data: bytes) -> None:
-        """Handle bytes as they arrive, in chunks of any size."""
+        """Process received bytes, in chunks of any size."""
         self._buffer += data
         while len(self._buffer) >= HEADER.width and self._client.is_open:
             size = int.from_bytes(self._buffer[:2], "big")
@@ -220,7 +225,7 @@ class RtdeSession(InterfaceReceiver):
             self._take(package)
 
     def end(self) -> None:
-        """Handle the end of the connection, which frees its inputs, immediately or later."""
+        """Process the end of the connection: release its inputs, immediately or after the delay of a fault."""
         self._interface.sessions.remove(self)
         claims, stale = self._state.claims, self._interface.disturbance.stale
         if stale:
@@ -272,13 +277,13 @@ class RtdeSession(InterfaceReceiver):
         return self._reply(OutputsReply, recipe=int(self._outputs is not None), types=join_names(types))
 
     def _step(self, frequency: float | None) -> int | None:
-        """Return the cycles from one package to the next; None if the frequency is invalid."""
+        """Return the number of cycles from one package to the next; None if the frequency is invalid."""
         rate = self._state.rate
         if frequency is None:
             return rate // RATE_1
         if not 0.0 < frequency < math.inf:
             return None
-        # The quotient is infinite for a frequency such as 5e-324.
+        # Without the minimum, the quotient would be infinite for a frequency such as 5e-324.
         return max(1, math.floor(rate / max(frequency, LEAST_FREQUENCY)))
 
     def _set_up_inputs(self, request: InputsRequest) -> bytes:
@@ -297,7 +302,7 @@ class RtdeSession(InterfaceReceiver):
         return state.claims.holder(name, state.cycle) not in (None, self)
 
     def _looked_up(self, text: str, table: Mapping[str, Variable]) -> tuple[Sequence[str], Sequence[str]]:
-        """Return the names, and for each a type or a reason for its rejection."""
+        """Return the names, and for each name its type, or NOT_FOUND or IN_USE."""
         if len(text.encode()) > MOST_NAMES:
             return (), ()
         names = split_names(text)
@@ -334,8 +339,8 @@ class RtdeSession(InterfaceReceiver):
             self._ignore(f"data package for the unknown recipe {package.recipe}")
             return
         try:
-            # Ignore the rest of a longer package: ur_rtde sends 104 bytes for a recipe of 56, and waits for the result
-            # of its command.
+            # Ignore additional bytes: ur_rtde sends 104 bytes for a recipe of 56 bytes, and waits for the result of its
+            # command.
             values = recipe.decode(bytes(package)[: recipe.size])
         except PacketError as error:
             self._ignore(str(error))
@@ -354,11 +359,11 @@ class RtdeSession(InterfaceReceiver):
         self._client.send(_text(self.protocol, text, source, level))
 
     def next_cycle(self, cycle: int) -> int:
-        """Return the first cycle after this one that has something to send."""
+        """Return the first cycle after this one in which a package is due."""
         return cycle + 1 if self._late else max(self._due, cycle + 1)
 
     def advance(self, cycle: int) -> None:
-        """Send the packages that have become due by this cycle."""
+        """Send the packages that are due in this cycle, or that became due earlier."""
         while self._late and self._late[0][0] <= cycle:
             self._client.send(self._late.popleft()[1])
         outputs = self._outputs
@@ -383,7 +388,10 @@ class RtdeSession(InterfaceReceiver):
             self._client.send(package)
 
     def _drop(self, cycle: int) -> None:
-        """Handle a package that cannot be sent, because older packages are still queued."""
+        """Drop a package that cannot be sent, because older packages are still queued.
+
+        Close the connection if this has lasted for `UNREAD` seconds.
+        """
         self._state.counters.unread += 1
         if self._unread_since is None:
             self._unread_since = cycle
@@ -393,7 +401,7 @@ class RtdeSession(InterfaceReceiver):
 
 
 def _text(protocol: Protocol, text: str, source: str = SOURCE, level: MessageLevel = MessageLevel.INFO) -> bytes:
-    """Return a text message. With protocol 2, its length field is one byte."""
+    """Return a text message. With protocol 2, the text is cut after 255 bytes, because its length field is one byte."""
     message = text if protocol == 1 else text.encode()[:255].decode("utf-8", "ignore")
     return _packed(RtdeMessage, protocol, {"message": message, "source": source, "level": level})
 

@@ -1,7 +1,8 @@
-"""Serial line of the tool connector, port 54321, as the vendor's URCap forwards it.
+"""Serial line of the tool connector, which the vendor's URCap forwards to port 54321.
 
-Assumptions: bytes are lost while the line is not enabled, an answer goes to the client that sent the request, and bytes
-take no time on the line. A baud rate that differs from the device's has no effect.
+The following is assumed. Bytes are lost while the line is not enabled. An answer is sent only to the client that has
+sent the request. The transmission of bytes over the line takes no time. If the baud rates of the controller and the
+device differ, this has no effect.
 """
 
 from __future__ import annotations
@@ -16,14 +17,14 @@ Device = Callable[[bytes], bytes]
 
 
 class ToolSerialInterface(Interface):
-    """Copies bytes between its clients and the mounted device.
+    """Interface that forwards bytes between the clients and the mounted device.
 
     Args:
         state: State of the controller.
-        device: Mounted device; None for none.
+        device: Mounted device; None if there is no device.
 
     Attributes:
-        device: Mounted device. It can be set, and is called in the thread of the server.
+        device: Mounted device, or None. It can be set. The thread of the server calls it.
     """
 
     def __init__(self, state: ControllerState, device: Device | None) -> None:
@@ -37,7 +38,7 @@ class ToolSerialInterface(Interface):
         return _Receiver(self, client)
 
     def exchange(self, data: bytes) -> bytes:
-        """Send bytes to the line, and return the answer of the device."""
+        """Send bytes over the line, and return the answer of the device."""
         if self.device is None or not self._state.signals.tool_communication.is_enabled:
             return b""
         return self.device(data)

@@ -1,1 +1,1 @@
-"""Programs of a simulated controller: loading, running cycle by cycle, and the pendant."""
+"""Programs of a simulated controller: loading them, running them cycle by cycle, and the teach pendant."""

@@ -1,15 +1,16 @@
-"""Load programs from the lines of clients, and start them.
+"""Loader that assembles programs from the lines of clients, compiles them and starts them.
 
 See docs/protocols/urscript.md, Sending a program. A program begins with `def` or `sec` in the first column and ends
-with `end` in the first column. Every other line is a program of one line, or one of a few commands that are not
+with `end` in the first column. Every other line is a program with one line, or one of a few commands that are not
 URScript.
 
-The programs of one client begin in the order of their arrival. Short programs are compiled immediately, as many in a
-cycle as cost no more than `BUDGET`. A long program can take up to a second, and the clock must not wait for it. So it
-is compiled in a thread, and later programs of the same client wait for it. Other clients do not wait, unless their
-programs are long too: only one is compiled at a time.
+The programs of one client begin in the order of their arrival. Short programs are compiled immediately, up to `BUDGET`
+characters per cycle. Compiling a long program can take up to a second, and the simulator's clock must not wait for
+this. Therefore a long program is compiled in another thread, and later programs of the same client wait for it. Other
+clients have to wait only if they also send long programs, because only one long program is compiled at a time.
 
-Assumption: the controller ignores a text while the arm may not move, and on an e-Series in local control.
+Assumptions: while the arm may not move, the controller ignores programs, except secondary programs. An e-Series
+controller in local control ignores all programs and commands.
 """
 
 from __future__ import annotations
@@ -31,16 +32,17 @@ from .runner import ProgramRunner
 
 _log = logging.getLogger("urlink.simulator")
 
-#: Maximum length of a program in characters. A longer one is discarded, up to its `end`. The compiler's limit is lower.
+#: Maximum length of a program in characters. A longer program is discarded up to its `end`. The compiler's limit is
+#: lower.
 LONGEST_PROGRAM = 1 << 20
-#: Length in characters above which a program is compiled in a thread. It takes about 20 ms.
+#: Length in characters from which a program is compiled in another thread. Compiling this length takes about 20 ms.
 LONG = 1 << 13
 #: Maximum number of characters that are queued for one client.
 MOST_WAITING = 1 << 20
-#: Characters of all clients that are compiled in one cycle, plus at most one more program. A program counts as at least
-#: `LEAST` characters, because compiling and starting even a short one has a cost.
+#: Number of characters, summed over all clients, after which no more programs are compiled in a cycle. A program counts
+#: as at least `LEAST` characters, because compiling and starting even a short program takes time.
 BUDGET, LEAST = 8192, 200
-#: Seconds to wait for the end of a compilation when the controller closes.
+#: Maximum time to wait for the end of a compilation when the controller is closed, in seconds.
 _JOIN_TIMEOUT = 4.0
 
 _BEGIN = re.compile(r"(?:def|sec)\b")
@@ -50,7 +52,7 @@ _SPEED = re.compile(r"set speed ([0-9]+(?:\.[0-9]+)?|\.[0-9]+)")
 
 
 class LineAssembler:
-    """Assembles the lines of one client into programs.
+    """Assembler that makes programs from the lines of one client.
 
     Attributes:
         refused: Number of characters in programs that were too long.
@@ -62,7 +64,7 @@ class LineAssembler:
         self._length = 0
 
     def feed(self, line: str) -> str | None:
-        """Add a line, and return the program that it completes, or None."""
+        """Add a line, and return the program that this line completes; None if no program is complete."""
         if not self._length and not _BEGIN.match(line):
             return None if _NOTHING.match(line) else line
         self._length += len(line) + 1
@@ -81,12 +83,12 @@ class LineAssembler:
 
 
 def obey(state: ControllerState, runner: ProgramRunner, line: str) -> bool:
-    """Execute a line that is a command to the controller; return False if it is URScript.
+    """Execute a line if it is a command to the controller; return False if it is URScript.
 
-    Such commands are known from a forum and from public drivers. The UR Client Library ends programs with
-    `stop program`, which ends every running program, even one that another client started (docs/protocols/urscript.md,
-    Sending a program). The reply of a real controller is unknown; this one does not reply. `set robotmode freedrive` is
-    accepted and has no effect.
+    Such commands are known from a forum and from public drivers. The UR Client Library ends programs with `stop
+    program`, which ends every running program, even one that another client started (docs/protocols/urscript.md,
+    Sending a program). The reply of a real controller is unknown; the simulator does not reply. `set robotmode
+    freedrive` is accepted and has no effect.
     """
     words = " ".join(line.split())
     speed = _SPEED.fullmatch(words)
@@ -131,16 +133,16 @@ class _Compilation(threading.Thread):
 
 
 class ProgramQueue:
-    """The programs that one client has sent, until they begin. Made by `ProgramLoader.open`."""
+    """Queue of the programs that one client has sent and that have not begun. It is made by `ProgramLoader.open`."""
 
     def __init__(self, loader: ProgramLoader) -> None:
         self._loader = loader
         self.texts: deque[str] = deque()
-        #: Number of their characters.
+        #: Number of characters in all queued texts.
         self.length = 0
 
     def put(self, text: str) -> bool:
-        """Add a whole program, or a line; return False, and discard it, if the queue is full."""
+        """Add a complete program or a line. If the queue is full, discard the text and return False."""
         if self.length + len(text) > MOST_WAITING:
             return False
         self.texts.append(text)
@@ -161,7 +163,7 @@ class ProgramQueue:
 
 
 class ProgramLoader:
-    """Compiles and starts the programs that the clients of one controller have sent.
+    """Loader that compiles and starts the programs which the clients of one controller have sent.
 
     The compilation of long programs runs in another thread. Everything else runs in the thread that owns the
     controller.
@@ -178,16 +180,16 @@ class ProgramLoader:
         self.on_compiled: Callable[[], object] = lambda: None
         self._state = state
         self._runner = runner
-        # Queues that are not empty. The first is served next.
+        # Queues that are not empty. The first queue is served next.
         self._queues: deque[ProgramQueue] = deque()
         self._compilation: _Compilation | None = None
-        # Number of characters compiled in a cycle, and that cycle.
+        # Latest cycle in which programs were compiled, and number of characters compiled in this cycle.
         self._cycle = -1
         self._spent = 0
 
     @property
     def is_waiting(self) -> bool:
-        """Whether programs wait for the next cycle rather than for a compilation."""
+        """Whether any queued program waits only for the next cycle, and not for a compilation of the same client."""
         return any(queue.texts and not self._compiles(queue) for queue in self._queues)
 
     def open(self) -> ProgramQueue:
@@ -195,12 +197,12 @@ class ProgramLoader:
         return ProgramQueue(self)
 
     def load(self, text: str) -> None:
-        """Compile a whole program, or a line, and start it before this call returns."""
+        """Compile a complete program or a line, and start it before this call returns."""
         if self._may_load(text):
             self._begin(text, _compiled(text, self._state.firmware))
 
     def advance(self) -> None:
-        """Start the compiled programs, and the programs that have waited for this cycle."""
+        """Start the long program that was compiled, and the programs that have waited for this cycle."""
         compilation = self._compilation
         if compilation is not None and compilation.result is not None:
             self._compilation = None
@@ -235,18 +237,18 @@ class ProgramLoader:
         self._compilation = None
 
     def close(self) -> None:
-        """Discard all programs, and wait for the compiling thread."""
+        """Discard all programs, and wait until the compilation has ended."""
         compilation = self._compilation
         self.clear()
         if compilation is not None:
             clock.join(compilation, _JOIN_TIMEOUT)
 
     def _compiles(self, queue: ProgramQueue) -> bool:
-        """Whether a program of this client is being compiled, so that its later programs must wait."""
+        """Whether a long program of this client is being compiled, so that later programs of the client must wait."""
         return self._compilation is not None and self._compilation.queue is queue
 
     def _may_load(self, text: str) -> bool:
-        """Whether the text is a program that the controller accepts now; a command is executed."""
+        """Execute the text if it is a command. Return whether it is a program that the controller accepts now."""
         state = self._state
         if not state.is_up:
             return self._refuse("the controller is down", text)

@@ -1,6 +1,6 @@
-"""The teach pendant of a simulated controller: its saved programs and its buttons.
+"""Teach pendant of a simulated controller: saved programs and buttons.
 
-The dashboard presses the same buttons.
+Commands of the dashboard call the methods of the same object.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _log = logging.getLogger("urlink.simulator")
 
 
 class Pendant:
-    """Pendant of one controller. Press its buttons only in the thread that owns the controller.
+    """Teach pendant of one controller. Call its methods only in the thread that owns the controller.
 
     Args:
         state: State of the controller.
@@ -28,7 +28,8 @@ class Pendant:
         files: Programs that can be loaded: path -> URScript.
 
     Attributes:
-        files: Programs that can be loaded: path -> URScript. A real pendant loads programs that were saved on it.
+        files: Programs that can be loaded: path -> URScript. They represent the programs that were saved on a real
+            pendant.
         directory: Directory of the programs, for relative paths: ``load("/programs/a.urp")`` loads the file `a.urp`.
     """
 
@@ -45,7 +46,7 @@ class Pendant:
 
     @property
     def popup(self) -> str | None:
-        """Text that the pendant shows, or None. Setting it to None closes the popup."""
+        """Text of the popup that the pendant shows, or None. Set this property to None to close the popup."""
         return self._state.popup
 
     @popup.setter
@@ -58,7 +59,9 @@ class Pendant:
         return self._state.log
 
     def load(self, path: str) -> bool:
-        """Load one of the `files`, by its path or by its path in `directory`.
+        """Load one of the `files`.
+
+        The path can be a key of `files`, or a path in `directory`; see `directory`.
 
         Returns:
             False if there is no such file.
@@ -71,7 +74,7 @@ class Pendant:
         return True
 
     def play(self) -> bool:
-        """Continue the paused program, or run the loaded one; return False if neither is possible."""
+        """Continue the paused program, or start the loaded program; return False if neither is possible."""
         state = self._state
         if not state.is_up or not state.modes.may_move:
             return False
@@ -98,7 +101,7 @@ class Pendant:
         return True
 
     def jog(self, q: Sequence[float], speed: float = 0.3) -> bool:
-        """Move the arm to six joint positions while no program plays, and leave it there.
+        """Begin to move the arm to six joint positions while no program plays. The arm stays there.
 
         Args:
             q: Joint positions, shape (6,), in rad.
@@ -121,10 +124,10 @@ class Pendant:
         return True
 
     def freedrive(self, is_on: bool = True) -> bool:
-        """Let the arm yield to external forces while no program plays, or hold it again.
+        """Let the arm yield to external forces while no program plays, or let the arm hold its position again.
 
         Args:
-            is_on: Whether the arm yields; False holds it again.
+            is_on: Whether the arm yields. If False, the arm holds its position again.
 
         Returns:
             False if a program plays, or the arm has not come to rest.

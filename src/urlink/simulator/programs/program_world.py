@@ -1,11 +1,11 @@
-"""The controller as one of its programs sees it, and the sockets of the program.
+"""Interface between a running program and the controller, and the sockets of a program.
 
-It is the `World` of `urlink.simulator.urscript`.
+`ProgramWorld` implements the protocol `ScriptWorld` of `urlink.simulator.urscript`.
 
-Programs can reach this computer and the computers that are connected to the controller. They can reach other computers
-only if the controller allows them. For a program, 127.0.0.1 is the controller, with the port numbers of a real one,
-whatever the served port numbers are. Host names are not resolved, because that could take seconds. Nothing here blocks;
-see `linkcore.net.polled`.
+Programs can connect to this computer and to the computers of connected clients. They can connect to other computers
+only if the controller allows these addresses. For a program, 127.0.0.1 is the controller, and its ports have the
+numbers of a real controller, even if other port numbers are served. Host names are not resolved, because this could
+take seconds. No function of this module blocks; see `linkcore.net.polled`.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from ..state import ControllerState
 
 
 class Target(NamedTuple):
-    """Target of a program's connection.
+    """Address and port to which a connection of a program is made.
 
     Attributes:
         host: Numeric address.
         port: TCP port.
-        source: Numeric address of this computer to connect from. None lets the system choose.
+        source: Numeric address of this computer from which to connect. None lets the system choose.
     """
 
     host: str
@@ -40,14 +40,14 @@ class Target(NamedTuple):
     source: str | None = None
 
 
-#: Returns the target for a numeric address and a port; None if a program may not connect to it.
+#: Function that returns the target for a numeric address and a port; None if a program may not connect to them.
 Route = Callable[[str, int], Target | None]
 
 T = TypeVar("T")
 
-#: Maximum number of sockets of a program. Sockets that only the peer has closed count too.
+#: Maximum number of sockets of a program. A socket counts until the program closes it.
 MOST = 16
-#: Maximum number of bytes buffered for a program. If the buffer is full, the peer has to wait.
+#: Maximum number of received bytes that are buffered for one socket. If the buffer is full, the peer has to wait.
 MOST_WAITING = 1 << 16
 
 
@@ -78,7 +78,7 @@ class ProgramSockets:
     def state(self, name: str) -> State:
         """Return the state of a socket.
 
-        It is also "closed" if the socket was refused, or if the program has too many sockets.
+        The state is also "closed" if the route did not allow the connection, or if the program has too many sockets.
         """
         connection = self._connections.get(name)
         return "closed" if connection is None else connection.state
@@ -86,14 +86,14 @@ class ProgramSockets:
     def send(self, name: str, data: bytes) -> bool:
         """Send all bytes immediately.
 
-        Returns False if the socket is not open, or if the peer does not accept all bytes. In the second case, the
-        socket is closed.
+        Return False if the socket is not open, or if the peer does not accept all bytes. In the second case, the socket
+        is closed.
         """
         connection = self._connections.get(name)
         return connection is not None and connection.send(data)
 
     def received(self, name: str) -> bytearray:
-        """Return the bytes that were received and not yet removed. The caller deletes the bytes that it uses."""
+        """Return the buffer of received bytes. The caller deletes the bytes that it has used from this buffer."""
         connection = self._connections.get(name)
         return bytearray() if connection is None else connection.receive()
 
@@ -110,18 +110,18 @@ class ProgramSockets:
 
 
 def _reads(read: Callable[[ProgramWorld], T]) -> T:
-    """Return a read-only property."""
+    """Return a read-only property whose value is calculated by this function."""
     return cast(T, property(read))
 
 
 class ProgramWorld:
-    """The controller as one of its programs sees it: a `World` of `urlink.simulator.urscript`.
+    """Access of one program to the controller; implements `ScriptWorld` of `urlink.simulator.urscript`.
 
     Args:
         state: State of the controller.
         route: Function that returns the targets of the program's connections.
-        drive: Drive that moves the arm for the program. None for a secondary program, which can only read whether the
-            arm moves.
+        drive: Drive that moves the arm for the program. None for a secondary program, which cannot command the arm, but
+            can read whether it moves.
     """
 
     def __init__(self, state: ControllerState, route: Route, drive: ArmDrive | None = None) -> None:
@@ -160,7 +160,7 @@ class ProgramWorld:
     def set_tcp(self, pose: Sequence[float]) -> None:
         self._state.arm.tcp = list(pose)
         if self._drive is not None:
-            # A motion might follow in the same cycle.
+            # Set the TCP of the generator now, because a motion might follow in the same cycle.
             self._drive.generator.tcp = pose
 
     payload = _reads(lambda world: world._state.arm.payload)

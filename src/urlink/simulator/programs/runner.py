@@ -1,18 +1,20 @@
-"""Run the programs of a controller: the main program and secondary programs.
+"""Runner of the programs of a controller, which are the main program and secondary programs.
 
-The main program commands the arm. In each cycle, the threads of the program run first. Then its motion generator
-converts their commands to one set-point. The arm follows this set-point, and has no access to programs.
+The main program commands the arm. In each cycle, the threads of this program run first. Then the program's motion
+generator converts their commands to one set-point. The arm follows this set-point, and has no access to programs.
 
-A program whose last statement is `protective_stop()` ends, and its end is reported after the stop. The UR Client
-Library waits for this message before it unlocks the stop.
+If the last statement of a program is `protective_stop()`, the program ends, and its end is reported after the stop. The
+UR Client Library waits for the report of the end before it unlocks the stop.
 
 Assumptions:
 
-- A protective stop pauses any other program, and `play` then continues it. An emergency stop or switching off ends it.
-- Secondary programs keep running through all of these.
-- If a program was paused because an RTDE input was late, the input has its full time again when the program resumes.
-- The scaling does not restart at 0 if a program replaces another, or starts while the arm still moves. This is
-  inferred: drivers send a program with a speed many times a second, and the arm keeps its speed.
+- A protective stop pauses any other main program, and `play` continues it later. The main program ends in an emergency
+  stop, and when the arm is switched off.
+- Secondary programs keep running during stops, and while the arm is switched off.
+- If a program was paused because an RTDE input was late, the full time of the input's watchdog begins again when the
+  program resumes.
+- The speed scaling does not restart at 0 if a program replaces another program, or starts while the arm still moves.
+  This is inferred from drivers that send a new program with a speed many times a second: the arm keeps its speed.
 """
 
 from __future__ import annotations
@@ -28,20 +30,22 @@ from ..state import ControllerState
 from ..urscript import Execution, Script
 from .program_world import ProgramWorld, Route
 
-#: Secondary programs that run at the same time; others are queued. Nearly all of them end within a cycle.
+#: Maximum number of secondary programs that run at the same time; further programs are queued. Nearly all secondary
+#: programs end within a cycle.
 MOST_SECONDARY = 32
-#: Maximum number of characters of the queued secondary programs.
+#: Maximum number of characters in all queued secondary programs.
 MOST_WAITING = 1 << 20
 
 
 class RunningProgram:
-    """A program that commands the arm: a source of set-points.
+    """Main program, which commands the arm and is a source of set-points.
 
     Attributes:
         name: Name of the program.
-        is_program: Whether the program runs. When it has ended, a motion is braked, and the arm holds its position.
-        execution: Execution of its script, with the error that ended it and the statements that clients sent in
-            interpreter mode.
+        is_program: Whether the program still runs or is paused. When the program has ended, the arm brakes and then
+            holds its position.
+        execution: Execution of the script. It contains the error that ended the program, and the statements that
+            clients sent in interpreter mode.
     """
 
     def __init__(
@@ -60,19 +64,19 @@ class RunningProgram:
         self._drive.start(q)
 
     def advance(self, seconds: float) -> Setpoint:
-        """Run the threads for one cycle of `seconds`, and return its set-point."""
+        """Run the threads of the program for one cycle of `seconds`, and return the set-point of this cycle."""
         drive, generator, state = self._drive, self._drive.generator, self._state
         generator.speed_fraction = state.slider
         if self.is_program:
             generator.tcp = state.arm.tcp
             self.execution.advance()
-            # If the last statement was protective_stop(), the message of the stop must precede the message of the end.
+            # If the last statement was protective_stop(), the stop must be reported before the end of the program.
             if self.execution.is_over and state.modes.may_move:
                 self.end()
         try:
             setpoint = drive.advance(seconds)
             state.control_mode = drive.control_mode
-            # A program that starts while the arm moves continues with the scaling of the previous one.
+            # If a program starts while the arm moves, it continues with the scaling of the previous program.
             state.scaling = generator.scaling if self.is_program or not generator.is_standing else 0.0
             return setpoint
         except LimitViolation as violation:
@@ -89,21 +93,21 @@ class RunningProgram:
 
 
 class ProgramRunner:
-    """Runs the programs of one controller, and returns the set-points for its arm.
+    """Runner of the programs of one controller, which returns the set-points for the arm.
 
     Args:
         state: State of the controller.
         route: Function that returns the targets of the programs' connections.
 
     Attributes:
-        main: Program that was started last, even if it has ended; None before the first program.
+        main: Main program that was started last, even if it has ended; None before the first main program.
     """
 
     def __init__(self, state: ControllerState, route: Route) -> None:
         self.main: RunningProgram | None = None
         self._state = state
         self._route = route
-        # Whether the arm brakes before the source starts again, from the position of the arm at rest.
+        # Whether the arm must come to rest before the source of set-points starts again, from this position.
         self._begins_anew = False
         self._secondary: list[Execution] = []
         self._waiting: deque[tuple[Script, int]] = deque()
@@ -111,23 +115,23 @@ class ProgramRunner:
     @property
     def program(self) -> RunningProgram | None:
         """The program that commands the arm or is paused; None if there is none."""
-        main = self.main  # read once: other threads ask for its name
+        main = self.main  # read once, because other threads call this too
         return main if main is not None and main.is_program else None
 
     @property
     def is_running(self) -> bool:
-        """Whether a program from a client runs, so that no cycle may be skipped."""
+        """Whether any program runs, is paused or is queued, so that no cycle may be skipped."""
         return bool(self._secondary or self._waiting or self.program)
 
     # -- beginning and ending ------------------------------------------------------------------------
 
     def start(self, script: Script) -> None:
-        """Stop the running program, and run this one."""
+        """Stop the running program, and start this script as the main program."""
         state = self._state
         self.stop()
         state.is_paused = False
         self.main = state.source = RunningProgram(state, script, self._route, self._ended)
-        # The program continues from the speed of the arm, even while the arm brakes.
+        # The new program continues from the current speed of the arm, even if the arm is braking.
         self._begins_anew = False
         if state.zeroes_force:
             state.arm.zero_force()
@@ -135,11 +139,11 @@ class ProgramRunner:
         state.update_modes(0.0)
 
     def start_secondary(self, script: Script, length: int) -> bool:
-        """Run a program in addition to the others when there is room; return False if too many wait.
+        """Queue a secondary program; return False if the queue is full.
 
         Args:
             script: Compiled program.
-            length: Number of characters in its text.
+            length: Number of characters in the text of the program.
         """
         if sum(waiting for _, waiting in self._waiting) + length > MOST_WAITING:
             return False
@@ -165,7 +169,7 @@ class ProgramRunner:
         return True
 
     def follow(self, source: SetpointSource) -> None:
-        """End the running program, brake if necessary, then follow another source from rest."""
+        """End the running program, let the arm brake if necessary, and then follow another source of set-points."""
         self.stop()
         self._state.source = source
         self._begins_anew = True
@@ -186,7 +190,7 @@ class ProgramRunner:
         state.outbox.put(messages.program_stopped(state, program.name))
 
     def _report(self, execution: Execution) -> None:
-        """Send the error that has ended a program, if there is one."""
+        """Send a message about the error that has ended a program, if there was an error."""
         if execution.error is not None:
             self._state.outbox.put(messages.runtime_exception(self._state, execution.error, is_running=True))
 
@@ -211,7 +215,7 @@ class ProgramRunner:
             elif program is not None:
                 state.is_paused = True
         elif not modes.may_move:
-            # A demonstration might have been paused.
+            # Clear the pause even if no program runs, because a demonstration might have been paused.
             self.stop()
             state.is_paused = False
         if self._secondary or self._waiting:
@@ -232,7 +236,7 @@ class ProgramRunner:
         return state.source.advance(seconds)
 
     def _by_hand(self, seconds: float) -> Setpoint | None:
-        """Return the set-point of the pendant's drive; None if the pendant does not move the arm."""
+        """Return the set-point from the drive of the pendant; None if the pendant does not move the arm."""
         state, hand = self._state, self._state.by_hand
         if hand is None:
             return None
@@ -246,7 +250,7 @@ class ProgramRunner:
     def _watch(self) -> None:
         """Pause or stop the program if an RTDE input with a watchdog is late.
 
-        While the program is paused, no input is late.
+        While the program is paused, the watchdogs are restarted, so that no input becomes late.
         """
         state = self._state
         if state.is_paused:

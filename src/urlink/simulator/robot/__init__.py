@@ -1,4 +1,4 @@
-"""Robot of a simulated controller: arm, sensors, modes, inputs and outputs.
+"""Robot of a simulated controller: the arm, its sensors, the modes, and the inputs and outputs.
 
-Programs and interfaces are not part of it.
+Programs and interfaces are not part of this package.
 """

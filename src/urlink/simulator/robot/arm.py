@@ -1,7 +1,7 @@
-"""Simulated arm: it follows set-points, brakes if there are none, and has sensors.
+"""Simulated arm, which follows set-points, brakes if there is no set-point, and has sensors.
 
-Following and braking happen in every cycle. Sensor values are computed when a packet needs them. They do not depend on
-when, or how often, they are read; see `sensors`.
+The arm is advanced in every cycle. Sensor values are computed only when a packet needs them. The values do not depend
+on how often, or at which moment of a cycle, they are read; see `sensors`.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ _ZERO = [0.0] * 6
 
 
 class SimulatedArm:
-    """Six joints of a model.
+    """Simulated arm with six joints and sensors.
 
     Args:
-        kinematics: Kinematics of a model, published or calibrated.
+        kinematics: Kinematics of the arm, published or calibrated.
         setpoint: Initial targets.
         seed: Seed of the sensor noise; None for no noise.
         surroundings: Surroundings that act on the tool.
-        like: Identified properties of an arm: motors, sensors, TCP and payload, as far as they are known. None selects
-            the known properties of the model.
+        like: Arm file with identified properties: motors, sensors, TCP and payload. None selects the known properties
+            of the model.
         is_cb2: Whether the arm has a CB2 controller.
 
     Attributes:
@@ -66,9 +66,10 @@ class SimulatedArm:
         self.payload = 0.0
         self.payload_cog: Sequence[float] = (0.0, 0.0, 0.0)
         self.payload_inertia: Sequence[float] = (0.0,) * 6
-        #: Change of the payload (mass, centre, inertia): old and new value, duration, and elapsed time, in s.
+        #: Change of the payload that is in progress: old and new values (mass, centre, inertia), duration and elapsed
+        #: time in s.
         self._transition: tuple[Sequence[float], Sequence[float], float, float] | None = None
-        #: Gravity that is set on the controller, shape (3,), in m/s² in the base frame; it points upwards.
+        #: Gravity setting of the controller, shape (3,), in m/s² in the base frame. The vector points upwards.
         self.gravity: Sequence[float] = (0.0, 0.0, GRAVITY)
         self.is_powered = True
         self.external_force: Sequence[float] = _ZERO
@@ -82,7 +83,7 @@ class SimulatedArm:
         self._surroundings = surroundings
         self.force_sensor = ForceSensor(kinematics, surroundings)
         self._is_following = True
-        # Start of the braking, its duration, and the elapsed time, in s.
+        # State of the arm when braking began, total duration of the braking, and elapsed time, both in s.
         self._brake: tuple[Setpoint, float, float] | None = None
         self._progress = Progress(0.002, 0, 0, 0, [0] * 6, 0, None)
         # Joints that moved in the last cycle; empty if none did.
@@ -103,7 +104,7 @@ class SimulatedArm:
 
     @property
     def is_moving(self) -> bool:
-        """Whether the arm follows moving set-points, or brakes."""
+        """Whether the joints move, because the set-points move or the arm brakes."""
         return self._brake is not None or any(self._setpoint.qd)
 
     @property
@@ -112,7 +113,7 @@ class SimulatedArm:
         return not self.is_moving and not self._is_following
 
     def advance(self, seconds: float, setpoint: Setpoint | None) -> None:
-        """Advance by one cycle, to this set-point; None brakes the arm, and then keeps it at rest."""
+        """Advance by one cycle to this set-point. With None, the arm brakes and then stays at rest."""
         progress = self._progress
         progress.cycle += 1
         progress.period = seconds
@@ -151,8 +152,8 @@ class SimulatedArm:
     def carry(self, payload: Sequence[float], seconds: float) -> None:
         """Set mass, centre and inertia of the payload, in kg, m and kg m².
 
-        The payload changes to these values within a time. It is assumed that the change is linear, and that the states
-        show it while it lasts (`payload_transition_is_linear`).
+        The payload changes to these values in `seconds`. It is assumed that the change is linear, and that states which
+        are sent during the change show the intermediate values (`payload_transition_is_linear`).
 
         Args:
             payload: New mass, centre and inertia, ten numbers.
@@ -174,16 +175,16 @@ class SimulatedArm:
         if any(self._setpoint.qd):
             limits: list[float] = self.model.max_acceleration.tolist()
             hardest = max(abs(v) / limit for v, limit in zip(self._setpoint.qd, limits, strict=True))
-            # The maximum deceleration of the smooth brake path is 3/2 of its mean. Braking lasts at least 0.06 s, so
-            # that it is visible at 125 Hz.
+            # The maximum deceleration on the smooth brake path is 3/2 of the mean deceleration. Braking lasts at least
+            # 0.06 s, so that it is visible at 125 Hz.
             self._brake = (self._setpoint, max(1.5 * hardest / BRAKING, 0.06), 0.0)
         else:
             self._setpoint = Setpoint(self._setpoint.q, _ZERO, _ZERO)
 
     def _go_on_braking(self, begin: Setpoint, duration: float, past: float, seconds: float) -> None:
-        """Slow all joints down in proportion.
+        """Advance the braking by one cycle. All joints slow down in proportion.
 
-        The brake path then continues in the direction of the motion.
+        Because of this, the arm brakes in the direction of its motion.
         """
         past += seconds
         if past >= duration:
@@ -227,7 +228,7 @@ class SimulatedArm:
     def take_tool_of(self, other: SimulatedArm) -> None:
         """Take over TCP and payload of another arm.
 
-        They are part of the installation, which a reboot does not change.
+        Both are part of the installation, which a reboot does not change.
         """
         self.tcp = other.tcp
         self.payload = other.payload
@@ -238,9 +239,9 @@ class SimulatedArm:
 
     @property
     def wrench(self) -> Sequence[float]:
-        """Wrench at the TCP that the controller uses, in N and Nm.
+        """Wrench at the TCP that the controller uses, shape (6,), in N and Nm.
 
-        It is the force of `sample` without noise.
+        It equals the force of `sample`, but without noise and without the offset of the sensor.
         """
         return self.external_force if self.uses_external_force else self._measured
 
@@ -251,13 +252,13 @@ class SimulatedArm:
 
     @property
     def pushed_joints(self) -> Sequence[float]:
-        """Torques from outside on the joints, in Nm, without the torques from the wrench at the TCP."""
+        """External torques on the joints, in Nm, without the torques that the wrench at the TCP causes."""
         pushed, touched = self._surroundings.joint_torques, self.force_sensor.torques
         return [a + b for a, b in zip(pushed, touched, strict=True)] if any(touched) else pushed
 
     @property
     def external_torques(self) -> list[float]:
-        """All torques from outside on the joints, in Nm.
+        """All external torques on the joints, in Nm.
 
         Zeroing the force sensor does not change them.
         """
@@ -269,7 +270,7 @@ class SimulatedArm:
 
     @property
     def raw_wrench(self) -> list[float]:
-        """Wrench at the TCP without the offset of `zero_force`, in N and Nm in the base frame."""
+        """Wrench at the TCP as measured before `zero_force` subtracts its offset, in N and Nm in the base frame."""
         raw = self._sensors.measured(self._setpoint.q, self.force_sensor.external, _ZERO, self._progress)
         return [f - m + e for f, m, e in zip(self.sample.force, self._measured, raw, strict=True)]
 
@@ -283,7 +284,7 @@ class SimulatedArm:
 
     @property
     def sample(self) -> Sample:
-        """Values of all sensors in this cycle."""
+        """Values of all sensors in this cycle. They are computed at the first access."""
         if self._sample is None:
             self._sample = self._sensors.sample(
                 self._setpoint,
@@ -304,7 +305,7 @@ class SimulatedArm:
     def q_actual(self) -> list[float]:
         """Joint positions of `sample`, in rad.
 
-        The other sensors are not computed, because programs read the positions in every cycle.
+        Programs read the positions in every cycle, so the other sensors are not computed here.
         """
         if self._sample is not None:
             return self._sample.q_actual
@@ -314,7 +315,8 @@ class SimulatedArm:
     def qd_actual(self) -> list[float]:
         """Joint speeds of `sample`, in rad/s.
 
-        The other sensors are not computed, because a loop with damping reads the speeds in every cycle.
+        A program with a damped control loop reads the speeds in every cycle, so the other sensors are not computed
+        here.
         """
         if self._sample is not None:
             return self._sample.qd_actual
@@ -322,10 +324,11 @@ class SimulatedArm:
 
     @property
     def dynamics(self) -> Dynamics:
-        """Masses of the published arm, its rotors and its payload.
+        """Dynamics of the published arm with its rotors and its payload.
 
-        The controller uses them to compute moments. The calibration is not used. At rest, the moments of a UR3e differ
-        by 27 mNm with its calibration, and by 1 mNm without.
+        The controller uses the dynamics to compute the moments of the joints. The calibration is not used. For a UR3e
+        at rest, the computed moments differ from the reported moments by 27 mNm with the calibration, but by only 1 mNm
+        without it.
         """
         carried = (self.payload,), tuple(self.payload_cog), tuple(self.payload_inertia), tuple(self.gravity)
         if self._dynamics is None or carried != self._carried:
@@ -342,16 +345,16 @@ class SimulatedArm:
 
     @property
     def current_as_torque(self) -> list[float]:
-        """Torques that correspond to the actual joint currents, in Nm."""
+        """Actual joint currents, converted to torques with the torque constants, in Nm."""
         return [i * k for i, k in zip(self.sample.I_actual, self.motors.torque_constants, strict=True)]
 
     @property
     def tool_acceleration(self) -> list[float]:
-        """Acceleration of the TCP at the targets of this cycle, in the base frame, m/s² and rad/s²."""
+        """Acceleration of the TCP for the targets of this cycle, in the base frame, in m/s² and rad/s²."""
         q, qd, qdd = self._setpoint
         if not any(qd) and not any(qdd):
             return list(_ZERO)
-        # Compute the derivative of Jacobian times speed with a central difference.
+        # Compute the time derivative of the product of Jacobian and joint speeds with a central difference.
         before, after = (
             self.kinematics.jacobian([p + t * v for p, v in zip(q, qd, strict=True)], self._tcp)
             @ [v + t * a for v, a in zip(qd, qdd, strict=True)]
@@ -364,6 +367,6 @@ class SimulatedArm:
     def dexterity(self) -> float:
         """Square of the determinant of the flange's Jacobian; 0 in a singular posture.
 
-        Three captured force mode packets contain this number, to all their digits.
+        Three captured force mode packets contain exactly this number.
         """
         return float(self.kinematics.manipulability(self._setpoint.q)) ** 2

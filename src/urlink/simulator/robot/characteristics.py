@@ -1,7 +1,8 @@
 """Parameters of a simulated robot: its speed scaling, and the behaviour of its sensors.
 
 For the facts about scaling and their sources, see docs/protocols/urscript.md, Speed scaling. Sensors have lags,
-offsets, noise and steps. For the evidence of each value, see `urlink.arm.parameters`. `noise` makes the random numbers.
+offsets, noise and resolution steps. For the evidence of each value, see `urlink.arm.parameters`. The module `noise`
+makes the random numbers.
 """
 
 from __future__ import annotations
@@ -24,15 +25,17 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ScalingParameters:
-    """Behaviour of a controller that scales the motions of programs.
+    """Parameters of the speed scaling, with which a controller slows down the motions of programs.
 
     Attributes:
         start_rate: Rate at which the scaling rises from 0 at the start of a program, in 1/s.
-        move_rate: Rate at which it rises from 0 when a later path move of the program starts from rest, in 1/s.
-        slider_rate: Rate at which it follows the speed slider, in 1/s.
-        resume_rate: Rate at which it rises from 0 when a program is resumed, in 1/s.
-        servoj_lag_stretches: Whether the lag of ``servoj`` is stretched by 1 / scaling, like all motion. If False, only
-            the time of the set-points is stretched, and the arm continues to the last set-point while the scaling is 0.
+        move_rate: Rate at which the scaling rises from 0 when a later path move of the program starts from rest, in
+            1/s.
+        slider_rate: Rate at which the scaling follows the speed slider, in 1/s.
+        resume_rate: Rate at which the scaling rises from 0 when a program is resumed, in 1/s.
+        servoj_lag_stretches: Whether the lag of ``servoj`` is multiplied by 1 / scaling, like the time of all motions.
+            If False, only the time of the set-points is multiplied, and the arm still moves to the last set-point while
+            the scaling is 0.
 
     Raises:
         BadValue: If a rate is not above zero.
@@ -50,13 +53,13 @@ class ScalingParameters:
 
 
 def approached(now: float, target: float, most: float) -> float:
-    """Return a number that is closer to `target` than `now`, by at most `most`."""
+    """Return `now`, changed towards `target` by at most `most`."""
     return target if abs(target - now) <= most else now + most if target > now else now - most
 
 
 #: Resolution of the joint encoders, in rad.
 STEPS = numbers("encoder_step")
-#: Ambient temperature in °C, time of warming in s, and final temperature rise of each joint in K.
+#: Ambient temperature in °C, time constant of the warming in s, and final temperature rise of each joint in K.
 AMBIENT, WARMING, TEMPERATURE_RISE = number("ambient_temperature"), number("warming_time"), numbers("temperature_rise")
 #: Time, in s, for which the arm was on before the simulation begins.
 WARMED_BEFORE = number("warmed_before")
@@ -67,9 +70,10 @@ DRIFT_TIME = number("force_drift_time")
 #: Decay time of the oscillation after a stop in s, its frequency in Hz, and decay time of the force's noise in s.
 SETTLING_TIME, SETTLING_FREQUENCY = number("settling_time"), number("settling_frequency")
 FORCE_SETTLING_TIME = number("force_settling_time")
-#: Time that a cycle takes an e-Series without a program, and with one, in ms.
+#: Time that an e-Series controller needs to execute a cycle, without a running program and with one, in ms.
 EXECUTION_TIME = number("execution_time"), number("execution_time_of_a_program")
-#: Supply voltage of each joint without current in V, its drop in V/A, and its measuring step in V.
+#: Supply voltage of each joint without current in V, voltage drop per current in V/A, and resolution of the measurement
+#: in V.
 JOINT_VOLTAGE = number("joint_voltage"), number("joint_voltage_drop"), number("voltage_step")
 
 
@@ -94,21 +98,22 @@ _SIGNED = ("force_offset", "accelerometer_bias")
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SensorParameters:
-    """Behaviour of the sensors of one arm.
+    """Lags, noise and offsets of the sensors of one arm.
 
     Attributes:
         lag: Lag of the actual joint positions behind their targets, in s.
         speed_lag: Lag of the actual joint speeds behind their targets, in s.
-        position_noise: Standard deviation of the joint positions from cycle to cycle, in rad.
-        position_offset: Standard deviation of the position error of a joint at rest, from rest to rest, in rad.
+        position_noise: Noise of the joint positions, which differs from cycle to cycle, in rad.
+        position_offset: Position error of a joint at rest, as a standard deviation, in rad. The error stays constant
+            during a rest, and differs from rest to rest.
         tracking_error: Position error of a moving joint in addition to the lag, shape (6,), in rad.
         settling: Amplitude of the oscillation of a joint after a stop, in rad.
         speed_noise: Noise of the speed of a moving joint, shape (6,), in rad/s.
         current_noise: Error of the current of a moving joint, shape (6,), in A.
         current_correlation: Fraction of the variance of this error that changes slowly, shape (6,), 0 to 1.
         current_noise_at_rest: Noise of the current of a joint at rest, in A.
-        stiction: Error of the actual current of a joint at rest, as a fraction of its Coulomb friction, shape (6,). It
-            is a standard deviation from rest to rest.
+        stiction: Error of the actual current of a joint at rest, as a standard deviation and a fraction of the Coulomb
+            friction, shape (6,). The error differs from rest to rest.
         voltage_noise: Noise of the joint voltages, in V.
         force_noise: Noise of the force at the TCP at rest, in N.
         torque_noise: Noise of the torque at the TCP at rest, in Nm.
@@ -119,11 +124,11 @@ class SensorParameters:
             and Nm.
         force_drift: Error of the wrench that changes with time, in the frame of the flange, shape (6,), in N and Nm.
         accelerometer_noise: Noise of the accelerometer, in m/s².
-        accelerometer_bias: Offset of the accelerometer in the frame of the tool, shape (3,), in m/s².
+        accelerometer_bias: Offset of the accelerometer in the tool frame, shape (3,), in m/s².
 
     Raises:
-        BadValue: If a vector has the wrong number of values, a number is not finite, or a parameter is negative that
-            must not be.
+        BadValue: If a vector has the wrong number of values, if a number is not finite, or if a parameter that must not
+            be negative is negative.
     """
 
     lag: float = number("tracking_lag")
@@ -159,7 +164,7 @@ class SensorParameters:
             raise BadValue(f"current_correlation={self.current_correlation!r}; expected 0 to 1")
 
     def like(self, arm: ArmFile) -> SensorParameters:
-        """Return these parameters, replaced by the known values of one arm."""
+        """Return a copy of these parameters, in which the identified values of one arm replace the defaults."""
         named = {field.name: field.name for field in dataclasses.fields(self)} | {"lag": "tracking_lag"}
         known = {field: arm.known(name) for field, name in named.items()}
         changed = {
@@ -171,7 +176,7 @@ class SensorParameters:
 
     @classmethod
     def of(cls, model: Model) -> SensorParameters:
-        """Return the parameters of a model, as far as they are known."""
+        """Return the default parameters for a model: logged values of this arm, or else those of its joint sizes."""
         name = model.name
         size = force_size(name)
         return cls(

@@ -1,17 +1,17 @@
-"""Robotiq 2F-85 on a simulated arm: registers, fingers, gripped object and serial line.
+"""Simulated Robotiq 2F-85 gripper: registers, fingers, gripped object and serial line.
 
 The fingers move at constant speed and stop instantly. The range of speeds is from the data sheet (20 to 150 mm/s over a
-stroke of 85 mm). The gripper is not part of the arm's payload. The following is assumed:
+stroke of 85 mm). The mass of the gripper is not part of the arm's payload. The following is assumed:
 
-- Activation closes and opens the fingers at half speed.
-- The fingers reach exactly 0 and 255.
-- The motor current.
-- An object is gripped at any force.
-- The object status of fingers that were stopped is "at the requested position".
+- The activation closes and then opens the fingers at half of the maximum speed.
+- The fingers reach the positions 0 and 255 exactly.
+- The values of the motor current.
+- The fingers stop at an object with any force setting.
+- If a client has stopped the fingers, the object status is "at the requested position".
 
-On a serial line, the gripper answers as slave 9 over Modbus RTU. Registers and bits are from the maker's manual, as
-public drivers use them. The tests contain the bytes of some of the manual's examples. Two more facts are assumed: an
-invalid request gets no answer, and answers are immediate.
+On a serial line, the gripper answers as slave 9 over Modbus RTU. The registers and bits are from the manufacturer's
+manual, as public drivers use them. The tests contain the bytes of some examples in this manual. Two more facts are
+assumed: an invalid request gets no answer, and answers are sent immediately.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from urlink.protocol.gripper.protocol import READABLE, WRITABLE
 
 #: Distance between the open fingers, in m.
 STROKE = 0.085
-#: Counts per second at speed 0 and at speed 255.
+#: Speed of the fingers at the speed settings 0 and 255, in counts per second.
 _SLOWEST, _FASTEST = 0.020 / STROKE * 255, 0.150 / STROKE * 255
-#: Counts per second of the fingers while the gripper is being activated.
+#: Speed of the fingers during the activation, in counts per second.
 _ACTIVATING = _FASTEST / 2
 #: `OBJ`: moving, stopped while opening or closing, at the requested position.
 _MOVING, _STOPPED_OPENING, _STOPPED_CLOSING, _AT_REQUEST = range(4)
@@ -36,29 +36,29 @@ _NOT_ACTIVATED = 7
 
 
 class SimulatedGripper(StrictAttributes):
-    """Gripper of a simulated controller. Initially it is reset, and its fingers are open.
+    """Gripper of a simulated controller. Initially, it is reset, and its fingers are open.
 
     Args:
-        clock: Time of the controller, in s.
+        clock: Function that returns the time of the controller, in s.
 
     Attributes:
-        registers: Values that were set, by name; see `urlink.protocol.gripper.protocol`.
-        is_connected: Whether the controller is connected to the gripper. If not, the reply is `?`.
-        fault: Fault number, `FLT`. It can be set; activating the gripper clears it.
+        registers: Values that clients have set, by name; see `urlink.protocol.gripper.protocol`.
+        is_connected: Whether the gripper is connected to the controller. If not, the reply to a query is `?`.
+        fault: Fault number (`FLT`). It can be set; an activation of the gripper clears it.
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self.registers = dict.fromkeys(WRITABLE, 0)
         self.is_connected = True
         self.fault = 0
-        # Tests read the gripper while the server's thread answers clients.
+        # Tests read the gripper while the server's thread replies to clients.
         self._lock = threading.Lock()
         self._clock = clock
         self._seen = clock()
         self._position = 0.0
         self._object: float | None = None
         self._is_inside = False
-        #: Positions that the fingers move to before the gripper is active.
+        #: Positions to which the fingers still have to move during the activation.
         self._calibration: list[float] = []
         self._is_active = False
         self._stop = _AT_REQUEST
@@ -66,13 +66,13 @@ class SimulatedGripper(StrictAttributes):
     # -- for tests -------------------------------------------------------------------------------------
 
     def place(self, width: float, *, inside: bool = False) -> None:
-        """Put an object between the fingers, so that they cannot close beyond it.
+        """Put an object between the fingers, so that the fingers stop at it when they close.
 
-        With `inside`, the object surrounds the fingers, so that they cannot open beyond it. The object replaces the
-        previous one.
+        With `inside`, the object surrounds the fingers, so that the fingers stop at it when they open. The object
+        replaces the previous object.
 
         Args:
-            width: Width of the object from finger to finger, or of the hole in it, in m.
+            width: Width of the object between the fingers, or of the hole in the object, in m.
             inside: Whether the fingers grip the object from inside.
 
         Raises:
@@ -83,12 +83,13 @@ class SimulatedGripper(StrictAttributes):
         with self._lock:
             self._advance()
             self._object, self._is_inside = 255 * (1.0 - width / STROKE), inside
-            # If the fingers are inside the object, push them aside; they then hold it.
+            # If a finger is where the object is placed, move the fingers to the surface of the object. They then grip
+            # it.
             if self._is_blocked_at(self._position):
                 self._position = self._object
 
     def take_away(self) -> None:
-        """Remove the object: the fingers continue to their requested position."""
+        """Remove the object. The fingers then continue to the requested position."""
         with self._lock:
             self._advance()
             self._object = None
@@ -117,13 +118,13 @@ class SimulatedGripper(StrictAttributes):
             return self._stop in (_STOPPED_OPENING, _STOPPED_CLOSING)
 
     def reply(self, line: str) -> str | None:
-        """Return the reply to a line of a client, without its line ending; None if there is none."""
+        """Return the reply to a line from a client, without a line ending; None if the line gets no reply."""
         with self._lock:
             self._advance()
             return self._answer(line.split())
 
     def exchange(self, values: dict[str, int], names: Sequence[str]) -> list[int]:
-        """Set registers, and read others at the same moment."""
+        """Set registers, and return the values of other registers at the same moment."""
         with self._lock:
             self._advance()
             if values:
@@ -162,7 +163,7 @@ class SimulatedGripper(StrictAttributes):
             self.fault, self._calibration = 0, [255.0, 0.0]
         elif not self._is_active and self.registers["GTO"]:
             self.fault = _NOT_ACTIVATED
-        # The object status of the previous motion does not apply to a new one.
+        # Reset the object status of the previous motion, because it does not apply to a new motion.
         if self._is_active and not self.registers["GTO"]:
             self._stop = _AT_REQUEST
         elif self._is_active and values.keys() & {"POS", "GTO"}:
@@ -171,9 +172,9 @@ class SimulatedGripper(StrictAttributes):
     # -- its fingers -----------------------------------------------------------------------------------
 
     def _advance(self) -> None:
-        """Move the fingers to their current position."""
+        """Advance the fingers to the current time of the controller."""
         now = self._clock()
-        # The clock starts again at 0 after a reboot of the controller.
+        # Ignore negative differences: after a reboot of the controller, its clock starts again at 0.
         seconds, self._seen = max(now - self._seen, 0.0), now
         while seconds > 0.0 and self._calibration:
             seconds = self._travel(self._calibration[0], _ACTIVATING, seconds)
@@ -191,7 +192,7 @@ class SimulatedGripper(StrictAttributes):
             self._travel(float(self.registers["POS"]), speed, seconds)
 
     def _travel(self, goal: float, speed: float, seconds: float) -> float:
-        """Move for at most `seconds`, and return the remaining seconds."""
+        """Move the fingers towards `goal` for at most `seconds`, and return the remaining time in s."""
         end, stop = goal, _AT_REQUEST
         if self._is_blocked_at(goal):
             assert self._object is not None
@@ -206,7 +207,7 @@ class SimulatedGripper(StrictAttributes):
         return seconds - needed
 
     def _is_blocked_at(self, position: float) -> bool:
-        """Whether the object blocks this position."""
+        """Whether the object prevents the fingers from reaching this position."""
         if self._object is None:
             return False
         return position < self._object if self._is_inside else position > self._object
@@ -218,14 +219,14 @@ def _is_value(name: str, value: str) -> bool:
 
 # -- Modbus RTU -----------------------------------------------------------------------------------
 
-#: Slave address; first register to write and first register to read; number of registers of each kind.
+#: Slave address; first register that clients write; first register that clients read; number of registers of each kind.
 _SLAVE, _TOLD, _TELLS, _COUNT = 9, 0x03E8, 0x07D0, 3
 _READ_HOLDING, _READ_INPUT, _WRITE_ONE, _WRITE = 0x03, 0x04, 0x06, 0x10
 #: Exception codes: unknown function, unknown address, invalid number of registers.
 _NO_FUNCTION, _NO_ADDRESS, _NO_VALUE = 1, 2, 3
 #: Number of bytes of a read request, and of a request that writes one register.
 _SHORT = 8
-#: Bits of the action request, by register name of the gripper.
+#: Name of a gripper register -> bit of the action request.
 _ACTION = {"ACT": 0, "GTO": 3, "ATR": 4, "ARD": 5}
 
 
@@ -244,10 +245,11 @@ def crc(data: bytes) -> bytes:
 
 
 class ModbusGripper:
-    """A device on a serial line: it is called with bytes and returns the bytes of its answer.
+    """Gripper as a device on a serial line. Call it with received bytes; it returns the bytes of its answer.
 
     Args:
-        gripper: Gripper that the device controls. Another client may use it through its URCap at the same time.
+        gripper: Gripper that the device controls. Another client may use the gripper through the URCap at the same
+            time.
     """
 
     def __init__(self, gripper: SimulatedGripper) -> None:
@@ -256,7 +258,7 @@ class ModbusGripper:
         self._waiting = b""
 
     def __call__(self, data: bytes) -> bytes:
-        """Return the answers to the requests that these bytes complete.
+        """Return the answers to all requests that are complete with these bytes.
 
         Requests to other slaves and broken requests have no answer.
         """
@@ -268,7 +270,8 @@ class ModbusGripper:
                 break
             frame, self._waiting = self._waiting[:size], self._waiting[size:]
             if crc(frame[:-2]) != frame[-2:]:
-                # The start of the next request is unknown. A real line detects it by the silence before it.
+                # Discard all bytes, because the start of the next request is unknown. A real device detects the start
+                # by the silence before it.
                 self._waiting = b""
             elif frame[0] == _SLAVE:
                 answer = self._answer(frame[1], frame[2:-2])
@@ -302,12 +305,15 @@ class ModbusGripper:
         return bytes((_SLAVE, function | 0x80, why))
 
     def _tell(self) -> None:
-        """Pass the written registers to the gripper: action request, 0, 0, position, speed, force."""
+        """Pass the written bytes to the gripper: action request, 0, 0, position, speed, force."""
         values = {name: self._told[0] >> bit & 1 for name, bit in _ACTION.items()}
         self._gripper.exchange(values | {"POS": self._told[3], "SPE": self._told[4], "FOR": self._told[5]}, ())
 
     def _tells(self) -> bytes:
-        """Return status, 0, fault, requested position, position, and current in units of 10 mA."""
+        """Return the bytes that clients read.
+
+        They are status, 0, fault, requested position, position, and current in units of 10 mA.
+        """
         names = ("ACT", "GTO", "STA", "OBJ", "FLT", "PRE", "POS", "COU")
         active, goes, status, found, fault, wanted, position, current = self._gripper.exchange({}, names)
         return bytes((active | goes << 3 | status << 4 | found << 6, 0, fault, wanted, position, current))

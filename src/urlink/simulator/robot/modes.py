@@ -1,14 +1,15 @@
-"""Modes of robot, joints, safety and program, and how they depend on each other.
+"""Robot mode, joint mode, safety mode and program state, and the dependencies between them.
 
-Numbers and names are in `urlink.protocol.enums`. The dependencies are from manuals, drivers and three captures of
-robots at rest. The following is assumed:
+The numbers and names of the modes are in `urlink.protocol.enums`. The dependencies are from manuals, from drivers, and
+from three captures of robots at rest. The following is assumed:
 
-- The times for powering on, and a running arm after a reboot. They were made short for tests.
-- A protective stop pauses the program, and an emergency stop stops it. Known is that a protective stop leaves the
-  motors on. An emergency stop is a stop of category 1, which in the manual's words leaves the motors "in a power off
-  state with brakes engaged" after the arm has come to rest.
-- The joints of a CB2 keep the mode RUNNING in a protective stop. The CB2 modes of these events (security stopped,
-  emergency stopped, no power) are inferred from their names in the vendor's list.
+- The times for powering on and releasing the brakes. These times are short, so that tests are fast. After a reboot, the
+  arm is running immediately.
+- A protective stop pauses the program, and an emergency stop ends it. Two facts are known. After a protective stop, the
+  motors stay on. An emergency stop is a stop of category 1. According to the manual, such a stop leaves the motors "in
+  a power off state with brakes engaged" after the arm has come to rest.
+- During a protective stop, the joints of a CB2 stay in mode RUNNING. The robot modes of a CB2 during stops and without
+  power (security stopped, emergency stopped, no power) are inferred from the names in the vendor's list.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class Power(enum.Enum):
 
 
 class StopState(enum.Enum):
-    """Cause of a stop of the arm."""
+    """Cause of the current stop of the arm."""
 
     NONE = "none"
     PROTECTIVE = "protective"
@@ -49,7 +50,7 @@ class StopState(enum.Enum):
 
 
 class _Shown(NamedTuple):
-    """Modes that show the power state of the arm."""
+    """Modes that the interfaces show for a power state of the arm."""
 
     robot: RobotMode
     robot_cb2: RobotModeCB2
@@ -75,10 +76,11 @@ _SAFETY_MODE = {
     StopState.EMERGENCY: SafetyMode.ROBOT_EMERGENCY_STOP,
 }
 
-#: On CB2, this number means that the joint is emergency stopped. On later releases it has another meaning.
+#: Joint mode during an emergency stop on CB2. On later releases, this number has another meaning.
 _JOINT_EMERGENCY_STOPPED_CB2 = JointMode.READY_FOR_POWER_OFF
 
-# Real bytes: without a program, 3.3 sends 1.0, and 3.10 and 5.4 send 0.0. The release of the change is unknown.
+# In captures without a program, firmware 3.3 sends a speed scaling of 1.0, and firmware 3.10 and 5.4 send 0.0. The
+# first release that sends 0.0 is unknown.
 _SCALES_TO_ZERO = Since("3.10/5.0")
 
 
@@ -87,10 +89,10 @@ class Modes:
 
     Attributes:
         power: Power state of the arm.
-        stop: Cause that keeps the arm from moving.
+        stop: Cause of the current stop.
     """
 
-    #: Times from power off to idle, and from idle to running (brakes released), in s.
+    #: Times for powering on (from off to idle) and for releasing the brakes (from idle to running), in s.
     BOOT_TIME = 0.4
     BRAKE_RELEASE_TIME = 0.2
 
@@ -102,7 +104,7 @@ class Modes:
         self._is_paused = False
         self._is_standing = True
         self._is_switching_off = False
-        # Whether to power on when the power is off.
+        # Whether to power on again after the current switch-off is complete.
         self._powers_on = False
         self._releases_brakes = False
         self._wait = 0.0
@@ -118,15 +120,15 @@ class Modes:
             self.stop = StopState.PROTECTIVE
 
     def safeguard_stop(self) -> None:
-        """Cause a safeguard stop, as a gate or a light curtain does.
+        """Cause a safeguard stop, as a safety gate or a light curtain does.
 
-        It is like a protective stop, but ends when its cause ends.
+        A safeguard stop is like a protective stop, but it ends as soon as its cause has ended.
         """
         if self.stop is StopState.NONE and self.power is Power.RUNNING:
             self.stop = StopState.SAFEGUARD
 
     def emergency_stop(self) -> None:
-        """Cause an emergency stop: the arm brakes, comes to rest, and then loses its power."""
+        """Cause an emergency stop. The arm brakes, comes to rest, and then loses its power."""
         self.stop = StopState.EMERGENCY
         self.power_off()
 
@@ -138,15 +140,15 @@ class Modes:
         self.stop = StopState.NONE
 
     def power_off(self) -> None:
-        """Switch off: the arm brakes, comes to rest, and then loses its power."""
+        """Switch the arm off. The arm brakes, comes to rest, and then loses its power."""
         self._is_switching_off = True
         self._powers_on = self._releases_brakes = False
 
     def power_on(self, release_brakes: bool = True) -> None:
-        """Power the joints up to idle or running.
+        """Power the joints on, up to the power state idle or running.
 
-        If the arm is being switched off, this happens afterwards. No effect during an emergency stop, as on a real
-        controller.
+        If the arm is being switched off, it is powered on afterwards. During an emergency stop, this call has no
+        effect, as on a real controller.
 
         Args:
             release_brakes: Whether to release the brakes, so that the arm reaches the power state running.
@@ -197,12 +199,12 @@ class Modes:
 
     @property
     def may_move(self) -> bool:
-        """Whether the arm may follow its motion."""
+        """Whether the arm may move: it is powered, its brakes are released, and there is no stop."""
         return self.power is Power.RUNNING and self.stop is StopState.NONE and not self._is_switching_off
 
     @property
     def holds_program(self) -> bool:
-        """Whether a protective or safeguard stop blocks the arm, but keeps its program."""
+        """Whether a protective or safeguard stop blocks the arm, so that the program is paused and not ended."""
         return (
             self.stop in (StopState.PROTECTIVE, StopState.SAFEGUARD)
             and self.power is Power.RUNNING
@@ -216,7 +218,7 @@ class Modes:
 
     @property
     def robot_mode(self) -> RobotMode | RobotModeCB2:
-        """Robot mode, in the numbers of the controller's generation."""
+        """Robot mode, as an enum of the controller's generation."""
         shown = _SHOWN[self.power]
         return _STOPPED_CB2.get(self.stop, shown.robot_cb2) if self._firmware.is_cb2 else shown.robot
 
@@ -234,19 +236,19 @@ class Modes:
 
     @property
     def safety_mode(self) -> SafetyMode:
-        """Safety mode. The safety status is the same number in every case that can occur here."""
+        """Safety mode. In all cases that the simulator has, the safety status has the same number."""
         return _SAFETY_MODE[self.stop]
 
     @property
     def master_safety_state(self) -> MasterSafetyState:
-        """Safety state of a CB2 masterboard."""
+        """Safety state that a CB2 masterboard reports."""
         if self.stop is StopState.SAFEGUARD:
             return MasterSafetyState.SAFEGUARD_STOP
         return MasterSafetyState.ROBOT_EMERGENCY_STOP if self.stop is StopState.EMERGENCY else MasterSafetyState.OK
 
     @property
     def master_on_off_state(self) -> MasterOnOffState:
-        """Power state of a CB2 masterboard."""
+        """Power state that a CB2 masterboard reports."""
         if self._is_switching_off and self.is_powered:
             return MasterOnOffState.TURNING_OFF
         if self.power is Power.OFF:
@@ -257,7 +259,8 @@ class Modes:
     def program_state(self) -> ProgramState:
         """State of the program.
 
-        It plays while the arm may move. It is paused in a protective stop and on request, and stopped otherwise.
+        The program plays while the arm may move. It is paused during a protective or safeguard stop, and if a client or
+        the pendant has paused it. Otherwise it is stopped.
         """
         if not self._has_program:
             return ProgramState.STOPPED
@@ -269,7 +272,10 @@ class Modes:
 
     @property
     def speed_scaling(self) -> float:
-        """Speed scaling: 1 while a program plays; otherwise 0 on newer and 1 on older firmware."""
+        """Speed scaling before the slider is applied.
+
+        It is 1 while a program plays. Otherwise it is 0 on newer firmware, and 1 on older firmware.
+        """
         if self.program_state is ProgramState.PLAYING:
             return 1.0
         return 0.0 if self._firmware in _SCALES_TO_ZERO else 1.0

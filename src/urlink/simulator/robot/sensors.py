@@ -1,22 +1,24 @@
-"""Sensors of an arm, computed from its set-points.
+"""Sensors of a simulated arm. Their values are computed from the set-points of the arm.
 
-- **Positions and poses** agree: every pose is the forward kinematics of the joint positions of the same cycle.
-- **Speeds** are the derivatives of the positions. TCP speeds are the Jacobian times the joint speeds.
-- **Moments** include the rigid bodies and the rotors (`urlink.dynamics`).
+- **Positions and poses** agree: every pose is computed by forward kinematics from the joint positions of the same
+  cycle.
+- **Speeds** are the derivatives of the positions. The TCP speed is the product of the Jacobian and the joint speeds.
+- **Moments** are computed for the rigid links and the rotors (`urlink.dynamics`).
 - **Currents** are these moments divided by the torque constants, plus friction (`urlink.arm.motors`), minus the effect
-  of external forces on the tool. Stiction also holds a joint at rest. So the actual current has an error, a fraction of
-  the stiction, which differs from rest to rest of the joint. The error of a moving joint has a slow and a fast part.
-- **Control currents** of a CB arm are the actual currents without their noise; those of an e-Series are the targets.
-- **Positions at rest** have an error of some encoder steps, which differs from rest to rest too. After a stop, each
+  of external forces on the tool. At rest, stiction carries a part of the load. Therefore the actual current of a joint
+  at rest has an error, a fraction of the friction, which differs from rest to rest of this joint. The error of a moving
+  joint has a slow and a fast part.
+- **Control currents** of a CB arm are the actual currents without their noise. Those of an e-Series are the targets.
+- **Positions at rest** have an error of some encoder steps, which also differs from rest to rest. After a stop, each
   joint oscillates for some tenths of a second.
 - **The force** at the TCP is computed by `surroundings`. The sensor adds an offset, an error that changes while the arm
   moves, a drift, and noise. Offset, error and drift are fixed in the frame of the flange.
-- **Temperatures** are those of an arm that has been on. They rise slowly, and more in joints with a higher load.
-- **Tool accelerometer**: it shows the acceleration that supports and accelerates the flange, in the frame of the tool.
-  On a CB2 arm, it shows gravity, with the sign of a real CB2 packet.
+- **Temperatures** are those of an arm that has been on. They rise slowly, and further in joints with a higher load.
+- **The tool accelerometer** shows the acceleration of the flange plus the upward acceleration that supports it against
+  gravity, in the tool frame. On a CB2 arm, it shows only gravity, with the sign that a real CB2 packet contains.
 
-For lags, offsets, noise and steps, see `characteristics`. It is assumed that the elbow of real-time packets is the
-point in the safety data of a CB3 capture.
+For lags, offsets, noise and resolution steps, see `characteristics`. It is assumed that the elbow position in real-time
+packets is the same point as the elbow in the safety data of a CB3 capture.
 """
 
 from __future__ import annotations
@@ -59,9 +61,10 @@ _TRACKING, _SETTLING, _SLOW_CURRENT, _WANDER, _DRIFT = range(8, 13)
 _WANDER_STEP, _DRIFT_STEP = 8, 64
 # Number of settling times after which the oscillation that follows a stop has ended.
 _SETTLED = 6.0
-# Additional temperature rise in K, per square root of the holding current in A.
+# Additional temperature rise in K for a holding current of 1 A. The rise is proportional to the square root of this
+# current.
 _RISE = 1.0
-# Time interval, in s, for computing an acceleration from speeds.
+# Time interval in s between the two speeds from which an acceleration is computed.
 _MOMENT = 1e-6
 
 
@@ -77,7 +80,7 @@ class Sample:
         force: Wrench at the TCP, in N and Nm.
         elbow_position, elbow_velocity: Position and velocity of the end of the upper arm, in m and m/s.
         accelerometer: Acceleration in the frame of the tool, in m/s².
-        momentum: Momentum of the arm in kg m/s, a rough value.
+        momentum: Momentum of the arm in kg m/s. This is only a rough value.
     """
 
     I_actual: list[float]
@@ -139,9 +142,9 @@ class Sensors:
 
     Args:
         kinematics: Kinematics of the arm.
-        motors: Motors of its joints.
+        motors: Motors of the joints.
         parameters: Parameters of the sensors.
-        q: Joint positions for computing the temperature of each joint, shape (6,), in rad.
+        q: Joint positions whose gravity load determines the temperature of each joint, shape (6,), in rad.
         seed: Seed of the noise; None for ideal sensors, without noise, offset and drift.
         is_cb2: Whether the arm has a CB2 controller.
     """
@@ -176,7 +179,8 @@ class Sensors:
         self._dynamics = Dynamics(model)
         self._tcp: list[float] = list(_ZERO)
         self._tool: Rigid[float] = IDENTITY
-        # Targets, and values that depend only on them. An arm at rest has the same targets in every cycle.
+        # Latest targets, and values that depend only on these targets. They are stored because an arm at rest has the
+        # same targets in every cycle.
         self._posture: Sequence[float] = []
         self._pose: list[float] = []
         self._load: tuple[Setpoint, Sequence[float]] | None = None
@@ -193,11 +197,11 @@ class Sensors:
         self._warm: list[float] = []
 
     def positions(self, setpoint: Setpoint, progress: Progress, is_powered: bool) -> list[float]:
-        """Return the actual joint positions, in rad."""
+        """Return the actual joint positions, in rad. `progress` selects their errors."""
         q, qd, _ = setpoint
         is_moving = any(qd)
         if self._is_ideal or not (is_powered or is_moving):
-            # This is q(t - lag) to first order; the derivative is known exactly.
+            # To first order, this is the position at the time t - lag; the derivative is known exactly.
             return [p - self._of.lag * v for p, v in zip(q, qd, strict=True)] if is_moving else q
         noise = self._position_noise.white(progress.cycle, _POSITION)
         if is_moving:
@@ -269,7 +273,7 @@ class Sensors:
         Args:
             setpoint: Targets of the cycle.
             tcp: Tool centre point in the flange frame, shape (6,), in m and rad.
-            dynamics: Dynamics of the arm with its rotors and its payload.
+            dynamics: Dynamics of the arm with rotors and payload.
             external: Wrench on the TCP, shape (6,), in N and Nm in the base frame.
             wrench: Wrench that an ideal force sensor would show, shape (6,).
             zeroed: Error of the force sensor when it was zeroed, in the frame of the flange, shape (6,).
@@ -340,7 +344,7 @@ class Sensors:
         return list(map(add, wrench, map(mul, noise, scales)))
 
     def _look_at(self, q: Sequence[float], tcp: Sequence[float], dynamics: Dynamics) -> None:
-        """Compute the values that depend on targets, tool and payload, unless these are unchanged."""
+        """Compute the values that depend on targets, tool and payload, if any of these has changed."""
         if tcp == self._tcp and q == self._posture and dynamics is self._dynamics:
             return
         self._dynamics = dynamics
@@ -354,7 +358,7 @@ class Sensors:
     def _forward(self, q: Sequence[float]) -> list[float]:
         """Return the pose of the TCP.
 
-        `Arm.forward`, which checks its arguments and makes an array, takes twice as long.
+        `Arm.forward` would take twice as long, because it checks its arguments and makes an array.
         """
         return list(to_pose(product(self._flange(q), self._tool)))
 
@@ -386,7 +390,7 @@ class Sensors:
     def _measure_load(
         self, s: Sample, setpoint: Setpoint, moments: Sequence[float], progress: Progress, is_moving: bool
     ) -> None:
-        """Compute moments, currents and voltages, given these external torques on the joints."""
+        """Compute moments, currents and voltages; `moments` are the external torques on the joints."""
         if self._load != (setpoint, moments):
             self._load = setpoint, moments
             needed: list[float] = (
@@ -423,19 +427,20 @@ class Sensors:
         if second != self._warmed_to:
             self._warmed_to = second
             warm = 1.0 - math.exp(-(second + WARMED_BEFORE) / WARMING)
-            # Use steps of a sixteenth of a degree.
+            # The resolution is a sixteenth of a degree.
             self._warm = [round(16.0 * (AMBIENT + rise * warm)) / 16.0 for rise in self._rise]
         return self._warm
 
     def _accelerations(self, setpoint: Setpoint, pose: Sequence[float], cycle: int, is_moving: bool) -> list[float]:
-        """Return the reading of the accelerometer in the tool, in m/s², in the frame of the tool."""
+        """Return the value that the accelerometer in the tool measures, in m/s² in the tool frame."""
         noise = self._accelerometer_noise.white(cycle, _ACCELEROMETER)
         across = _upward(pose)
         if self._is_cb2:
             return [n - GRAVITY * u[2] for u, n in zip(across, noise, strict=False)]
         x, y, z = 0.0, 0.0, GRAVITY
         if is_moving:
-            # The sensor is in the flange. Differentiate the flange's velocity over a microsecond.
+            # The sensor is in the flange. Compute the acceleration from two velocities of the flange, a microsecond
+            # apart.
             q, qd, qdd = setpoint
             later = [p + _MOMENT * v for p, v in zip(q, qd, strict=True)]
             faster = [v + _MOMENT * a for v, a in zip(qd, qdd, strict=True)]
@@ -448,20 +453,21 @@ class Sensors:
 
 
 def _stepped(value: float, step: float) -> float:
-    """Return a value rounded to its measuring step; a step of 0 means no rounding."""
+    """Return the value rounded to a multiple of `step`; a step of 0 means no rounding."""
     return step * round(value / step) if step else value
 
 
 def _upward(pose: Sequence[float]) -> tuple[tuple[float, float, float], ...]:
-    """Return, for the axes x, y and z of the tool, their components along the base axes."""
+    """Return the axes x, y and z of the tool as three unit vectors in the base frame."""
     matrix = from_pose(list(pose))
     return (matrix[0], matrix[3], matrix[6]), (matrix[1], matrix[4], matrix[7]), (matrix[2], matrix[5], matrix[8])
 
 
 def _elbow(a2: float, d1: float, q: Sequence[float], qd: Sequence[float]) -> tuple[list[float], list[float]]:
-    """Return position and velocity of the end of the upper arm, in m and m/s.
+    """Return the position and the velocity of the end of the upper arm, in m and m/s.
 
-    The point is on the axis through the plane of the shoulder.
+    The point is in the vertical plane through the axis of the base. The sideways offset of the real upper arm is
+    ignored.
     """
     s1, c1, s2, c2 = math.sin(q[0]), math.cos(q[0]), math.sin(q[1]), math.cos(q[1])
     turn, lift = qd[0], qd[1]

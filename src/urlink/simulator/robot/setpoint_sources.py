@@ -1,6 +1,6 @@
-"""Sources of the arm's set-points, cycle by cycle.
+"""Sources of set-points for the arm, one set-point per cycle.
 
-A controller begins with `Still` or with another given source. A running program is a source too.
+A new controller uses `Still` or another given source. A running program is also a source.
 """
 
 from __future__ import annotations
@@ -12,23 +12,24 @@ from typing import NamedTuple, Protocol
 from linkcore.errors import BadValue
 from urlink.arm.parameters import number
 
-#: Default posture, in rad: elbow up, tool pointing down, in the middle of the workspace. It is far from the joint
-#: limits and from every singular posture of every model. On a UR5e or a larger arm, circles of 0.25 m radius that begin
-#: here, to either side, horizontal or upright, also pass no singular posture.
+#: Default posture, in rad: elbow up, tool pointing down, in the middle of the workspace. The posture is far from the
+#: joint limits and from every singular posture of every model. On a UR5e or a larger arm, a circle with a radius of
+#: 0.25 m that begins at this posture passes no singular posture either. This holds for horizontal and for upright
+#: circles, to either side.
 HOME = (0.0, -1.5, 2.0, -0.5 - math.pi / 2, -math.pi / 2, 0.0)
 
 #: Deceleration of an arm that no program commands, as a fraction of the maximum joint acceleration. The deceleration of
 #: a real controller is not published; this is a cautious assumption.
 BRAKING = number("braking_share")
 
-#: Six zeros: speeds and accelerations of an arm at rest. Many set-points share this list, so never change it.
+#: Six zeros: the speeds or the accelerations of an arm at rest. Many set-points share this list, so never change it.
 REST = [0.0] * 6
 
 
 class Setpoint(NamedTuple):
-    """Targets of one cycle, for the joints from base to wrist 3.
+    """Targets of one cycle for the six joints, from base to wrist 3.
 
-    They are six positions in rad, six speeds in rad/s and six accelerations in rad/s².
+    A set-point consists of six positions in rad, six speeds in rad/s and six accelerations in rad/s².
     """
 
     q: list[float]
@@ -37,25 +38,25 @@ class Setpoint(NamedTuple):
 
 
 class SetpointSource(Protocol):
-    """A source of set-points, one for each controller cycle while the arm may move.
+    """Source of set-points, which returns one set-point for each controller cycle while the arm may move.
 
-    After a stop, the arm is at rest somewhere along its brake path; `start` receives this position.
+    After a stop, the arm is at rest at the end of its brake path; `start` receives this position.
 
     Attributes:
-        is_program: Whether following this source counts as a running program.
+        is_program: Whether the controller reports a running program while the arm follows this source.
     """
 
     is_program: bool
 
     def start(self, q: Sequence[float]) -> None:
-        """Begin, from rest, at six joint positions in rad."""
+        """Begin from rest at six joint positions, in rad."""
 
     def advance(self, seconds: float) -> Setpoint:
-        """Return the set-point after a cycle of `seconds`."""
+        """Return the set-point one cycle of `seconds` later."""
 
 
 class Still:
-    """A source that holds the arm at six joint positions, in rad, without a program.
+    """Source that holds the arm at six joint positions, in rad. It does not count as a program.
 
     Raises:
         BadValue: If `q` is not six finite numbers.
@@ -76,11 +77,11 @@ class Still:
 
 
 class Demonstration:
-    """Slow sine waves about a home posture, starting from rest.
+    """Source that moves the joints in slow sine waves around a home posture, starting from rest.
 
-    If necessary, a straight joint motion leads to the home posture first. No joint moves faster than 0.45 rad/s or
-    accelerates by more than 0.7 rad/s², a small part of the limits of any model. Joint speeds are continuous.
-    Accelerations are continuous too, after the motion to the home posture has ended.
+    If the arm is not in the home posture, a straight joint motion moves it there first. No joint moves faster than 0.45
+    rad/s or accelerates by more than 0.7 rad/s², a small fraction of the limits of any model. The joint speeds are
+    continuous. After the motion to the home posture has ended, the accelerations are continuous too.
 
     Raises:
         BadValue: If the home posture is not six finite numbers.
@@ -94,7 +95,7 @@ class Demonstration:
     AMPLITUDES = (0.6, 0.15, 0.25, 0.2, 0.2, 0.5)
     #: Number of waves per period, for each joint.
     WAVES = (1, 2, 1, 2, 3, 1)
-    #: Time in which the waves grow to their full speed, in s.
+    #: Time in which the waves reach their full speed, in s.
     RAMP = 2.0
     #: Maximum joint speed of the motion to the home posture, in rad/s.
     APPROACH_SPEED = 0.45
@@ -109,11 +110,11 @@ class Demonstration:
         self.start(home)
 
     def start(self, q: Sequence[float]) -> None:
-        """Begin, from rest, at six joint positions in rad."""
+        """Begin from rest at six joint positions, in rad."""
         self._time = 0.0
         self._way = [h - start for h, start in zip(self._home, q, strict=True)]
         furthest = max(map(abs, self._way))
-        # The maximum speed of the quintic is 15/8 of its mean speed.
+        # The maximum speed on the quintic polynomial is 15/8 of the mean speed.
         self._approach = max(1.875 * furthest / self.APPROACH_SPEED, self.APPROACH_LEAST) if furthest > 1e-9 else 0.0
 
     def advance(self, seconds: float) -> Setpoint:
@@ -126,7 +127,8 @@ class Demonstration:
     def _approaching(self) -> Setpoint:
         u = self._time / self._approach
         rest = 1.0 - u
-        # Remaining fraction: one minus the quintic that starts and ends with zero speed and acceleration.
+        # Remaining fraction of the distance: one minus the quintic polynomial that starts and ends with zero speed and
+        # acceleration.
         left = rest**3 * (1.0 + 3.0 * u + 6.0 * u * u)
         speed = 30.0 * u * u * rest * rest / self._approach
         acceleration = 60.0 * u * rest * (1.0 - 2.0 * u) / self._approach**2

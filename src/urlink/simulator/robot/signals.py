@@ -1,8 +1,8 @@
-"""Inputs and outputs of a simulated controller: digital, analogue, and Modbus signals.
+"""Inputs and outputs of a simulated controller: digital and analogue signals, and Modbus signals.
 
-A program adds a Modbus signal, reads or sets it, and reads its errors. A test sets its value and its errors. There is
-no bus behind it. It is assumed that signals persist after the program that added them, and that a signal is valid when
-it is added.
+A program can add a Modbus signal, read or set its value, and read its error. A test can set the value and the error of
+a signal. No bus is simulated. It is assumed that a signal still exists after the program that added it has ended, and
+that a signal is valid when it is added.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from linkcore.names import StrictAttributes
 
 
 class ToolCommunication(NamedTuple):
-    """Serial line through the tool connector.
+    """Settings of the serial line in the tool connector.
 
-    The initial values are from captures: not enabled.
+    The initial values are from captures, in which the line is not enabled.
 
     Attributes:
-        is_enabled: Whether the line is in use.
+        is_enabled: Whether the line is enabled.
         baud_rate: Baud rate, in Bd.
         parity: Parity: 0 none, 1 odd, 2 even.
         stop_bits: Number of stop bits, 1 or 2.
@@ -38,25 +38,26 @@ class ToolCommunication(NamedTuple):
 
 
 class Signals(StrictAttributes):
-    """Inputs and outputs; all can be read and set.
+    """Digital and analogue inputs and outputs. All of them can be read and set.
 
     Attributes:
         digital_inputs: Bit mask of the inputs; see `urlink.protocol.enums.DigitalBits`.
         digital_outputs: Bit mask of the outputs.
-        analog_inputs: Four values, 0 and 1 of the control box, 2 and 3 of the tool, in A or V; see
-            `analog_input_ranges`.
-        analog_outputs: Two values, in A or V; see `analog_output_domains`.
+        analog_inputs: Four values in A or V: inputs 0 and 1 of the control box, and inputs 2 and 3 of the tool.
+            `analog_input_ranges` determines the unit.
+        analog_outputs: Two values in A or V. `analog_output_domains` determines the unit.
         analog_input_ranges: Four numbers, each 0 (current) or 1 (voltage).
         analog_output_domains: Two numbers, each 0 (current) or 1 (voltage).
         tool_output_voltage: Voltage of the tool, 0, 12 or 24 V.
-        tool_output_mode: Mode of the tool outputs of an e-Series: 0 digital outputs, 1 both pins supply power.
+        tool_output_mode: Mode of the tool outputs of an e-Series: 0 if they are digital outputs, 1 if both pins supply
+            power.
         tool_digital_output_modes: Two numbers, each 1 (sinking), 2 (sourcing) or 3 (push-pull).
-        tool_communication: Serial line through the tool connector.
+        tool_communication: Settings of the serial line in the tool connector.
     """
 
     def __init__(self) -> None:
-        # Values of controllers with nothing connected. 4 mA is the live zero of a current output; two simulated
-        # e-Series controllers send it.
+        # Initial values are those of controllers without connected devices. A current output of 4 mA is the lower end
+        # of its range (live zero), which two simulated e-Series controllers send.
         self.digital_inputs = 0
         self.digital_outputs = 0
         self.analog_inputs = [0.0, 0.0, 0.0, 0.0]
@@ -69,7 +70,7 @@ class Signals(StrictAttributes):
         self.tool_communication = ToolCommunication()
 
     def set_digital_input(self, number: int, on: bool) -> None:
-        """Switch input `number`, 0 to 17: 0-7 standard, 8-15 configurable, 16-17 tool.
+        """Switch digital input `number` on or off: 0-7 standard, 8-15 configurable, 16-17 tool.
 
         Raises:
             BadValue: If there is no such input.
@@ -77,7 +78,7 @@ class Signals(StrictAttributes):
         self.digital_inputs = _switched(self.digital_inputs, number, on)
 
     def set_digital_output(self, number: int, on: bool) -> None:
-        """Switch output `number`, 0 to 17: 0-7 standard, 8-15 configurable, 16-17 tool.
+        """Switch digital output `number` on or off: 0-7 standard, 8-15 configurable, 16-17 tool.
 
         Raises:
             BadValue: If there is no such output.
@@ -92,7 +93,7 @@ class Signals(StrictAttributes):
         """
         if number not in range(4) or not math.isfinite(value):
             raise BadValue(
-                f"analogue input {number!r} cannot have the value {value!r}; expected input 0 to 3 and a finite value"
+                f"analogue input {number!r} cannot be set to {value!r}; expected input 0 to 3 and a finite value"
             )
         self.analog_inputs[number] = float(value)
 
@@ -104,12 +105,12 @@ class Signals(StrictAttributes):
         """
         if number not in range(2) or not math.isfinite(value):
             raise BadValue(
-                f"analogue output {number!r} cannot have the value {value!r}; expected output 0 or 1 and a finite value"
+                f"analogue output {number!r} cannot be set to {value!r}; expected output 0 or 1 and a finite value"
             )
         self.analog_outputs[number] = float(value)
 
     def set_analog_fraction(self, number: int, fraction: float) -> None:
-        """Set analogue output 0 or 1 to a fraction, 0 to 1, of its range: 4 to 20 mA or 0 to 10 V."""
+        """Set analogue output 0 or 1 to a fraction (0 to 1) of its range, which is 4 to 20 mA or 0 to 10 V."""
         is_voltage = self.analog_output_domains[number]
         self.set_analog_output(number, fraction * 10.0 if is_voltage else 0.004 + fraction * 0.016)
 
@@ -120,10 +121,11 @@ def _switched(mask: int, number: int, on: bool) -> int:
     return mask | 1 << number if on else mask & ~(1 << number)
 
 
-#: 0 or 1, 0 to 65535, or several of the latter.
+#: Value of a signal: 0 or 1 for a bit, 0 to 65535 for a register, or a tuple of such values.
 Value = int | tuple[int, ...]
 
-#: Names of the types 0 to 3 of `modbus_add_signal`, and of the registers of `modbus_add_rw_signal` (function code 23).
+#: Names of the signal types: the types 0 to 3 of `modbus_add_signal`, and type 4 for `modbus_add_rw_signal` (function
+#: code 23).
 KINDS = ("digital input", "digital output", "register input", "register output", "list of registers")
 READ_AND_WRITE = 4
 #: Maximum value of a register.
@@ -132,21 +134,21 @@ _HIGHEST = 65535
 
 @dataclass
 class ModbusSignal:
-    """One signal that a program has added.
+    """Modbus signal that a program has added.
 
     Attributes:
         host: Address of the device.
         slave, address: Address of the signal in the device.
-        kind: Type: 0 digital input, 1 digital output, 2 register input, 3 register output, 4 registers to read and
-            other registers to write.
-        value: Value: 0 or 1, or 0 to 65535. It is a tuple of these for a signal of several bits or registers, which
-            kind 4 always is.
-        written: Values of the registers that a program has written, for kind 4.
-        frequency: Frequency at which a real controller would read it, in Hz.
+        kind: Type of the signal: 0 digital input, 1 digital output, 2 register input, 3 register output, 4 registers to
+            read and other registers to write.
+        value: Value: 0 or 1 for a bit, 0 to 65535 for a register. It is a tuple of such values if the signal has
+            several bits or registers, and always for kind 4.
+        written: Values that a program has written to the registers of kind 4.
+        frequency: Frequency at which a real controller would read the signal, in Hz.
         watchdog: Whether a failure of the signal stops programs.
         choice: State of an output while no program runs, 0 to 4.
         error: Error number; 0 for none.
-        invalid_since: Time of the error on the controller's clock, in s.
+        invalid_since: Time at which the error occurred, on the controller's clock, in s.
     """
 
     host: str
@@ -163,17 +165,17 @@ class ModbusSignal:
 
     @property
     def is_digital(self) -> bool:
-        """Whether the signal is on or off rather than a number."""
+        """Whether the signal has bits rather than registers."""
         return self.kind < 2
 
     @property
     def is_input(self) -> bool:
-        """Whether the device sets the signal, so that programs cannot."""
+        """Whether the signal is an input, so that programs cannot set it."""
         return self.kind in (0, 2)
 
 
 class ModbusSignals(StrictAttributes, Mapping[str, Value]):
-    """Signals of one controller: name -> value.
+    """Modbus signals of one controller: name -> value.
 
     A value can be set before a program adds the signal.
 
@@ -193,7 +195,8 @@ class ModbusSignals(StrictAttributes, Mapping[str, Value]):
     def __setitem__(self, name: str, value: int | Sequence[int]) -> None:
         """Set the value of a signal.
 
-        The value is 0 or 1, or 0 to 65535. It is a list of these for registers that are read together.
+        The value is 0 or 1 for a bit, and 0 to 65535 for a register. It is a list of such values for bits or registers
+        that are read together.
 
         Raises:
             BadValue: If the signal cannot have this value.
@@ -207,7 +210,7 @@ class ModbusSignals(StrictAttributes, Mapping[str, Value]):
             )
         new: Value = int(value) if isinstance(value, int) else tuple(map(int, value))
         if signal is not None and _length(signal.value) != _length(new):
-            raise BadValue(f"Modbus signal {name!r} is a {KINDS[signal.kind]} and cannot be {value!r}")
+            raise BadValue(f"Modbus signal {name!r} is a {KINDS[signal.kind]} and cannot be set to {value!r}")
         self._values[name] = new
         if signal is not None:
             signal.value = new
@@ -223,7 +226,7 @@ class ModbusSignals(StrictAttributes, Mapping[str, Value]):
         return self._signals.get(name)
 
     def fail(self, name: str, error: int) -> None:
-        """Set the error of a signal; 0 clears it.
+        """Set the error number of a signal; 0 clears the error.
 
         Raises:
             BadValue: If there is no signal of that name.
@@ -234,9 +237,9 @@ class ModbusSignals(StrictAttributes, Mapping[str, Value]):
         signal.error, signal.invalid_since = error, self._clock()
 
     def add(self, name: str, signal: ModbusSignal) -> None:
-        """Add a signal, which replaces a signal with the same name.
+        """Add a signal. It replaces an existing signal with the same name.
 
-        If a value was set before and suits the new signal, it is kept.
+        If a value was set before under this name, and if it is valid for the new signal, the value is kept.
         """
         old = self._values.get(name)
         if old is not None and _length(old) == _length(signal.value):
@@ -246,12 +249,12 @@ class ModbusSignals(StrictAttributes, Mapping[str, Value]):
         self._values[name] = signal.value
 
     def delete(self, name: str) -> bool:
-        """Delete a signal; return False if there is none."""
+        """Delete a signal; return False if there is no signal with this name."""
         self._values.pop(name, None)
         return self._signals.pop(name, None) is not None
 
     def seconds_invalid(self, signal: ModbusSignal) -> float:
-        """Return how long a signal has had an error, in s; 0 if it has none."""
+        """Return the time for which a signal has had an error, in s; 0 if it has no error."""
         return max(self._clock() - signal.invalid_since, 0.0) if signal.error else 0.0
 
 

@@ -1,24 +1,26 @@
-"""Surroundings of a simulated arm's tool, and the sensor of their force.
+"""Objects and forces that act on a simulated arm, and the force sensor.
 
-If the TCP is below a plane, the plane pushes back along its normal. The force is `stiffness` times the depth plus
-`damping` times the speed into the plane; it never pulls. Friction acts along the plane, against the direction of
-sliding. It is `friction` times the normal force. Friction does not stick: below 1 mm/s it decreases with the speed. A
-spring pulls the TCP towards a point.
+If the TCP is below a plane, the plane pushes the TCP back along its normal. The force is `stiffness` times the depth,
+plus `damping` times the speed into the plane. A plane never pulls. Friction acts along the plane, against the direction
+of sliding, with `friction` times the normal force. There is no static friction: below 1 mm/s, the friction decreases
+with the speed. A spring pulls the TCP towards a point.
 
-Planes and springs act only on the TCP: the tool has no size, and no other part of the arm touches anything. All of this
-is a model rather than a measurement. Moving bodies are a `Scene`, which acts on the tool and on the links.
+Planes and springs act only on the TCP: the tool has no size, and other parts of the arm touch nothing. These forces are
+a model, which was not compared with measurements. Moving bodies are simulated by a `Scene`, which acts on the tool and
+on the links.
 
-The sensor measures the forces of the surroundings, and the weight of a load that the controller does not know. `zero`
-makes the current value the new zero. The offset turns with the tool, as with a sensor in the tool. This is assumed for
-arms that have no such sensor and compute the force from their currents.
+The force sensor measures the forces of the surroundings, and the weight of a load that the controller does not know.
+`zero` makes the current value the new zero. The offset is constant in the tool frame, as for a sensor in the tool. This
+is assumed also for arms that have no such sensor and compute the force from their motor currents.
 
-Forces act on the tool, in N and Nm, along the axes of the base frame, with moments about the TCP. It is assumed that
-the sensor measures the forces on the tool rather than the forces that the tool exerts.
+Forces are in N along the axes of the base frame, and moments are in Nm about the TCP. It is assumed that the sensor
+measures the forces that act on the tool, not the forces that the tool exerts.
 """
 
 from __future__ import annotations
 
 import math
+import threading
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -38,17 +40,17 @@ from urlink.arm.vectors import FloatArray
 from .scene import Reaction, Scene
 from .setpoint_sources import Setpoint
 
-#: Sliding speed, in m/s, at which friction has three quarters of its full size.
+#: Sliding speed, in m/s, at which the friction is three quarters of its maximum.
 _SLIDING = 1e-3
-#: Force at the TCP, in N, above which the controller stops the arm. It can be set on controllers; this default is
-#: assumed.
+#: Force at the TCP, in N, above which the controller stops the arm. Real controllers have a setting for this limit; the
+#: default is assumed.
 FORCE_LIMIT = number("force_limit")
-# The same limit for the links, as a fraction of the maximum torque of a joint.
+# Limit of the joint torque that contacts with the links cause, as a fraction of the maximum torque of the joint.
 _TORQUE_SHARE = number("link_contact_limit")
 
 
 class ContactModel(Protocol):
-    """An object that acts on the TCP."""
+    """Object that exerts a force on the TCP."""
 
     def force(self, position: Sequence[float], velocity: Sequence[float]) -> tuple[float, float, float]:
         """Return the force on the TCP in the base frame, in N.
@@ -61,17 +63,17 @@ class ContactModel(Protocol):
 
 @dataclass(frozen=True)
 class Plane:
-    """A plane that the TCP can press on.
+    """Plane that the TCP can press on.
 
     Args:
         point: Any point of the plane in the base frame, shape (3,), in m.
-        normal: Direction towards the free side, shape (3,), of any length.
+        normal: Normal vector, which points to the free side, shape (3,), of any length.
         stiffness: Stiffness, in N/m.
-        damping: Damping of the speed into the plane, in N per m/s.
-        friction: Friction coefficient: the fraction of the normal force that opposes sliding.
+        damping: Damping force per speed into the plane, in N per m/s.
+        friction: Friction coefficient.
 
     Raises:
-        BadValue: If a vector is not three finite numbers, the normal is zero, or a number is negative.
+        BadValue: If a vector is not three finite numbers, if the normal is zero, or if another number is negative.
     """
 
     point: Sequence[float]
@@ -107,14 +109,14 @@ class Plane:
 
 @dataclass(frozen=True)
 class Spring:
-    """A spring between a point and the TCP, which always pulls the TCP to the point.
+    """Spring that always pulls the TCP towards a point.
 
-    Its length at rest is zero.
+    The rest length of the spring is zero.
 
     Args:
-        point: Other end of the spring in the base frame, shape (3,), in m.
+        point: Point in the base frame, shape (3,), in m.
         stiffness: Stiffness, in N/m.
-        damping: Damping of the speed of the TCP, in N per m/s.
+        damping: Damping force per speed of the TCP, in N per m/s.
 
     Raises:
         BadValue: If `point` is not three finite numbers, or a number is negative.
@@ -136,21 +138,22 @@ class Spring:
 
 
 class Surroundings(StrictAttributes):
-    """Surroundings of the arm of one controller. A reboot does not change them.
+    """Objects and forces that act on the arm of one controller. A reboot does not change them.
 
-    Any thread may call each method. Changes have an effect in the next cycle.
+    Any thread may call the methods. Changes take effect in the next cycle.
 
     Attributes:
         force_limit: Force at the TCP, in N, above which the controller stops the arm protectively.
-        scene: Bodies around the arm; None for none.
+        scene: Scene with bodies around the arm; None if there is no scene.
     """
 
     def __init__(self) -> None:
         self.force_limit = FORCE_LIMIT
         self.scene: Scene | None = None
-        # Tuples are replaced as a whole, so that the thread that owns the controller sees either the old or the new
-        # one.
+        # Each tuple is replaced as a whole, so that the thread that owns the controller reads either the old or the new
+        # tuple.
         self._contacts: tuple[ContactModel, ...] = ()
+        self._changing = threading.RLock()  # held while contacts are added or removed
         self._wrench: tuple[float, ...] = (0.0,) * 6
         self._torques: tuple[float, ...] = (0.0,) * 6
         self._load: tuple[float, tuple[float, ...]] | None = None
@@ -158,41 +161,44 @@ class Surroundings(StrictAttributes):
     # -- for tests -------------------------------------------------------------------------------------
 
     def add(self, contact: ContactModel) -> ContactModel:
-        """Place a plane, a spring, or your own object with a method `force`, and return it.
+        """Add a plane, a spring, or your own object with a method `force`, and return this object.
 
         Raises:
             BadValue: If the object has no such method.
         """
         if not callable(getattr(contact, "force", None)):
             raise BadValue(f"contact is {contact!r}; expected an object with a method force(position, velocity)")
-        self._contacts = (*self._contacts, contact)
+        with self._changing:
+            self._contacts = (*self._contacts, contact)
         return contact
 
     def remove(self, contact: ContactModel) -> None:
-        """Remove a contact.
+        """Remove an object.
 
         Raises:
-            BadValue: If the contact was not placed.
+            BadValue: If the object was not added.
         """
-        left = tuple(each for each in self._contacts if each is not contact)
-        if len(left) == len(self._contacts):
-            raise BadValue(f"contact {contact!r} is not in the surroundings; expected one of `contacts`")
-        self._contacts = left
+        with self._changing:
+            left = tuple(each for each in self._contacts if each is not contact)
+            if len(left) == len(self._contacts):
+                raise BadValue(f"contact {contact!r} is not in the surroundings; expected one of `contacts`")
+            self._contacts = left
 
     def clear(self) -> None:
-        """Remove all objects and forces: scene, contacts, pushes and the load."""
+        """Remove all objects and forces: the scene, planes and springs, pushes, and the load."""
         self.scene = None
-        self._contacts = ()
+        with self._changing:
+            self._contacts = ()
         self._wrench = self._torques = (0.0,) * 6
         self._load = None
 
     @property
     def contacts(self) -> tuple[ContactModel, ...]:
-        """Planes and springs, in the order of their placement."""
+        """Planes, springs and your own objects, in the order in which they were added."""
         return self._contacts
 
     def push(self, wrench: Sequence[float]) -> None:
-        """Push at the TCP continuously, as a hand does; six zeros end the push.
+        """Push the TCP with a constant wrench, as a hand does, until the next call; six zeros end the push.
 
         Args:
             wrench: Wrench, shape (6,): forces in N along the axes of the base frame, and torques in Nm about the TCP.
@@ -203,9 +209,10 @@ class Surroundings(StrictAttributes):
         self._wrench = _numbers(wrench, 6, "a wrench")
 
     def push_joints(self, torques: Sequence[float]) -> None:
-        """Push the joints continuously; six zeros end the push.
+        """Push the joints with constant torques until the next call; six zeros end the push.
 
-        Only an arm in freedrive or under direct torque yields to this push. The force at the TCP does not include it.
+        Only an arm in freedrive or under direct torque yields to this push. The force at the TCP does not include these
+        torques.
 
         Args:
             torques: Joint torques, shape (6,), in Nm.
@@ -218,11 +225,11 @@ class Surroundings(StrictAttributes):
     def carry(self, mass: float | None, cog: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
         """Set the real load at the flange.
 
-        If the load differs from the payload that the controller knows, the force at the TCP has an error: the
-        difference of the weights.
+        If the load differs from the payload that the controller knows, the force sensor also shows the difference of
+        the weights.
 
         Args:
-            mass: Mass in kg. None, the initial value, stands for the payload that the controller knows.
+            mass: Mass in kg. None (the initial value) means that the load equals the payload that the controller knows.
             cog: Centre of mass in the frame of the flange, shape (3,), in m.
 
         Raises:
@@ -243,16 +250,16 @@ class Surroundings(StrictAttributes):
 
     @property
     def load(self) -> tuple[float, tuple[float, ...]] | None:
-        """Mass in kg, and centre of mass in m, of the real load; None for the known payload."""
+        """Mass in kg and centre of mass in m of the real load; None if it equals the known payload."""
         return self._load
 
     @property
     def joint_torques(self) -> tuple[float, ...]:
-        """Joint torques of `push_joints`, shape (6,), in Nm."""
+        """Joint torques that `push_joints` has set, shape (6,), in Nm."""
         return self._torques
 
     def wrench(self, position: Sequence[float], velocity: Sequence[float]) -> list[float]:
-        """Return the wrench on the TCP, shape (6,), in N and Nm.
+        """Return the wrench that pushes, planes and springs exert on the TCP, shape (6,), in N and Nm.
 
         Args:
             position: Position of the TCP, in m.
@@ -278,9 +285,10 @@ def _check_figures(**figures: float) -> None:
             raise BadValue(f"{name}={value!r}; expected a finite number, 0 or more")
 
 
-# Force, in N, at which a contact is detected, and below which it has not begun. Controllers' values are not published.
+# Force, in N, above which a contact is detected; force, in N, at which this contact has begun. The values of real
+# controllers are not published.
 _NOTICED, _BEGUN = 5.0, 1.0
-# Number of kept cycles.
+# Number of latest cycles whose forces are stored.
 _REMEMBERED = 500
 _NONE = [0.0] * 6
 
@@ -294,17 +302,17 @@ class ForceSensor:
 
     Attributes:
         external: Wrench on the TCP in this cycle, including the weight that the controller does not know, shape (6,).
-        wrench: The same wrench minus the offset, shape (6,).
+        wrench: The same wrench minus the offset that `zero` has stored, shape (6,).
         torques: Joint torques from contacts with the links, shape (6,), in Nm.
-        overload: Reason for a protective stop: a force at the TCP, or a torque of a joint, that exceeds its limit and
-            has grown since the previous cycle. None if there is no overload.
+        overload: Reason for a protective stop; None if there is no overload. There is an overload if the force at the
+            TCP, or the torque of a joint, exceeds its limit and has grown since the previous cycle.
     """
 
     def __init__(self, kinematics: Arm, surroundings: Surroundings) -> None:
         self._kinematics = kinematics
         self._surroundings = surroundings
         self._offset: FloatArray | None = None  # in the frame of the TCP
-        self._turn: list[float] = [0.0] * 3  # of the TCP in the base frame: a rotation vector
+        self._turn: list[float] = [0.0] * 3  # rotation vector of the TCP in the base frame
         self._felt: deque[Sequence[float]] = deque(maxlen=_REMEMBERED)
         self.external: Sequence[float] = _NONE
         self.wrench: Sequence[float] = _NONE
@@ -354,7 +362,7 @@ class ForceSensor:
         self._turn = pose[3:]
         load = self._surroundings.load
         if load is not None and load != (payload, tuple(cog)):
-            # Transform from the flange frame to the TCP frame, whose pose is known.
+            # Transform the centres of mass from the flange frame to the TCP frame.
             turn, way = rotvec_to_matrix(tcp[3:]), np.array(tcp[:3])
             external += self._weight(load[0], turn.T @ (np.array(load[1]) - way))
             external -= self._weight(payload, turn.T @ (np.array(cog) - way))
@@ -368,12 +376,12 @@ class ForceSensor:
             ).tolist()
 
     def _weight(self, mass: float, place: FloatArray) -> FloatArray:
-        """Return the weight of a mass at a place in the TCP frame: force, and moment about the TCP."""
+        """Return the force and the moment about the TCP that a weight causes; `place` is in the TCP frame."""
         force = np.array((0.0, 0.0, -GRAVITY * mass))
         return np.concatenate((force, np.cross(rotvec_to_matrix(self._turn) @ place, force)))
 
     def zero(self) -> None:
-        """Make the current value the new zero; if nothing acts on the tool, the offset is zero."""
+        """Make the current value the new zero. If nothing acts on the tool, the offset is zero."""
         self._offset = None
         self.wrench = _NONE
         if any(self.external):
@@ -381,13 +389,13 @@ class ForceSensor:
             self._offset = np.concatenate((back @ external[:3], back @ external[3:]))
 
     def contact_steps(self, direction: Sequence[float]) -> int:
-        """Return the cycles since the start of a contact that opposes a motion of the tool.
+        """Return the number of cycles since the start of a contact that opposes a motion of the tool.
 
-        Returns 0 if there is no such contact.
+        Return 0 if there is no such contact.
 
         Args:
-            direction: Direction of the motion in the base frame, shape (3,), of any length; zero for contacts in every
-                direction.
+            direction: Direction of the motion in the base frame, shape (3,), of any length. Three zeros select contacts
+                from every direction.
         """
         length = math.hypot(*direction)
 

@@ -1,8 +1,8 @@
 """URScript for the simulated controller.
 
-`compile_script` compiles a text to a `Script`. An `Execution` runs the script, one controller cycle at a time, and uses
-the controller through the protocols of `world`. This package has no sockets, threads or clocks. The same program in the
-same world gives the same result in every cycle.
+`compile_script` compiles a text to a `Script`. An `Execution` runs the script, one controller cycle at a time. It uses
+the controller through the protocols in `world`. This package has no sockets, threads or clocks. Therefore the same
+program always gives the same result if the controller behaves in the same way.
 """
 
 from __future__ import annotations

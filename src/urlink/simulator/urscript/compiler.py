@@ -1,9 +1,9 @@
-"""Compile the syntax tree to instructions.
+"""Compiler from the syntax tree of a program to instructions.
 
 An expression becomes one Python function, unless it calls a function of the program or a function that takes time. Such
-a call becomes an instruction, which stores its value in a slot of the frame. Operands to its left are evaluated before
-it, into slots too, so that the order of evaluation follows the text. A leaf function of the program
-(`scopes.leaf_size`) also becomes a Python function.
+a call becomes an instruction, which stores the result of the call in a slot of the frame. The operands to the left of
+the call are evaluated before it, and their values are stored in slots too, so that the order of evaluation is the order
+in the text. A leaf function of the program (`scopes.leaf_size`) also becomes a Python function.
 """
 
 from __future__ import annotations
@@ -61,23 +61,25 @@ from .syntax import (
 from .tokens import SourceText
 from .values import NUMBERS, UNSET, MemberName
 
-# Functions that a statement can call without brackets.
+# Functions that a statement can call without parentheses.
 _BARE = ("enter_critical", "exit_critical")
-# Undefined variable -> function that an assignment to its element calls. The manuals (cited from memory) do not contain
-# this. A public client sets outputs this way, and its users report that the outputs switch.
+# Name of an undefined variable -> function that is called by an assignment to an element of this variable. The manuals
+# (cited from memory) do not mention such assignments. A public client sets outputs with them, and its users report that
+# the outputs switch.
 _SETTERS = {"digital_out": "set_digital_out"}
-# Expressions with more parts than this count as work.
+# Maximum number of parts of an expression that does not count as work.
 _SHORT = 32
 
 
 def compile_script(text: str, firmware: Firmware) -> Script:
     """Compile a program.
 
-    The last `def` or `sec` is the program, and the statements before it run first. If other statements follow it, all
-    statements are the program. Both rules are assumed.
+    If the text ends with a `def` or `sec`, this function is the program, and the statements before it run first.
+    Otherwise all statements are the program. Both rules are assumed.
 
     Raises:
-        ProgramError: If the program does not compile. It has the place and the controller's text.
+        ProgramError: If the program does not compile. The error contains the position in the text and the controller's
+            message.
     """
     with _collection_paused():
         source = SourceText(text)
@@ -88,9 +90,10 @@ def compile_script(text: str, firmware: Firmware) -> Script:
 def _collection_paused() -> Iterator[None]:
     """Disable cyclic garbage collection in this process until the block ends, if it is enabled.
 
-    A program of 250 kB becomes 0.4 to 1.2 million objects, and none can be collected before the end. Their number
-    triggers one collection after another, and each visits all objects. Together, this takes two thirds of the compile
-    time. `MAX_TOKENS` bounds the memory in use during this time to about 120 MB.
+    The compiler makes 0.4 to 1.2 million objects for a program of 250 kB, and none of them can be freed before the end.
+    So many new objects trigger one collection after another, and each collection visits all objects. Together, the
+    collections would take two thirds of the compile time. `MAX_TOKENS` limits the memory in use during this time to
+    about 120 MB.
     """
     if not gc.isenabled():
         yield
@@ -103,7 +106,7 @@ def _collection_paused() -> Iterator[None]:
 
 
 class _Program:
-    """State that all functions of a program share."""
+    """Compilation of one program: the state that the compilers of all its functions share."""
 
     def __init__(self, source: SourceText, statements: Block, firmware: Firmware) -> None:
         self.source = source
@@ -125,18 +128,19 @@ class _Program:
         self.script = Script(name, self.kind, main, len(self.globals))
 
     def builtin(self, name: str) -> Builtin | None:
-        """Return the built-in function of that name; None if the firmware lacks it."""
+        """Return the built-in function with this name; None if the firmware lacks it."""
         if name not in self._builtins:
             self._builtins[name] = find(name, self.firmware)
         return self._builtins[name]
 
     def leaf(self, definition: Definition, code: Code) -> tuple[Function | None, int]:
-        """Return a leaf function as a Python function of its frame, and its size.
+        """Return the Python function for a leaf function, and its number of parts.
 
         For any other function, return None and 0.
         """
         if code.source is not self.source:
-            return None, 0  # otherwise the places of its faults would refer to the text of a later statement
+            # Otherwise errors in the leaf function would show positions in the text of a later statement.
+            return None, 0
         if id(definition) not in self._leaves:
             size = leaf_size(definition, self.globals)
             compiler = _Compiler(self, Code(self.source), definition.body, definition.parameters, None)
@@ -145,7 +149,7 @@ class _Program:
         return function, size
 
     def error(self, node: Node, text: str) -> ProgramError:
-        """Return a compile error at a node."""
+        """Return a compile error at the position of a node."""
         return self.source.failure(node.place, text)
 
     def not_found(self, node: Node, name: str) -> ProgramError:
@@ -164,7 +168,7 @@ class _Compiler:
         self._body = body
         self._outer = outer
         self._parameters = parameters
-        # Parameters that always have a value.
+        # Parameters without a default, which always have a value.
         self._given = {parameter.name for parameter in self._parameters if parameter.default is None}
         names = Names.of(body)
         defined = {each.name: (each, Code(program.source)) for each in names.definitions}
@@ -180,7 +184,7 @@ class _Compiler:
         self._loops: list[tuple[Label, Label]] = []
         self._labels: dict[str | int, Label] = {}
         self._taking: dict[int, bool] = {}
-        # Number of parts of the expressions since the last instruction.
+        # Number of parts of all expressions since the last instruction.
         self._parts = 0
 
     def compile(self) -> None:
@@ -196,11 +200,11 @@ class _Compiler:
         self._code.places.extend(place for _, place in self._makers)
 
     def leaf(self) -> Function:
-        """Return the Python function for a leaf function; its argument is the frame."""
+        """Return the Python function for a leaf function. It is called with the frame."""
         return self._chosen(self._body, operations.constant(None))
 
     def _chosen(self, block: Block, after: Function) -> Function:
-        """Return the value that the statements return, or the value of `after` if they return none."""
+        """Return a function for the value that these statements return, or `after` returns if they return none."""
         for statement in reversed(block):
             if isinstance(statement, Return):
                 after = operations.constant(None) if statement.value is None else self._value(statement.value)
@@ -215,8 +219,8 @@ class _Compiler:
     def statement(self, text: str) -> StatementCode:
         """Compile a statement of interpreter mode into the scope of this function.
 
-        It assigns to variables of this function, or to global variables if this is the program's own body. Later
-        statements know the functions that it defines.
+        The statement assigns to variables of this function, or to global variables if the function is the program
+        itself. If the statement defines functions, later statements can call them.
 
         Raises:
             ProgramError: If the statement does not compile.
@@ -231,7 +235,7 @@ class _Compiler:
             if name not in known and name not in self._slots:
                 self._slots[name] = self._code.size
                 self._code.size += 1
-        # The same program with another source text.
+        # Use the same program, but with the text of the statement as source.
         program = copy.copy(self._program)
         program.source = source
         compiler = _Compiler(program, Code(source), body, [], self.functions)
@@ -243,7 +247,7 @@ class _Compiler:
         return StatementCode(compiler._code, len(known))
 
     def _default(self, parameter: Node, default: Expression, slot: int) -> None:
-        """Evaluate a default value in the called function, at each call (assumed)."""
+        """Generate instructions that evaluate a default value in the called function, at each call (assumed)."""
         given = Label()
         self._emit(parameter, lambda after: instructions.skip_if_set(slot, given, after))
         value = self._value(default)
@@ -262,7 +266,7 @@ class _Compiler:
         label.at = len(self._makers)
 
     def _slot(self) -> int:
-        """Return a slot that this statement does not use yet."""
+        """Return a slot of the frame that this statement does not use yet."""
         slot = self._used
         self._used += 1
         self._top = max(self._top, self._used)
@@ -288,7 +292,7 @@ class _Compiler:
         self._emit(s, lambda after: instructions.jump(label))
 
     def _node_label(self, s: NodeLabel) -> None:
-        """Mark a target of `jump_to_label`, by its name and its number.
+        """Register a target of `jump_to_label` under its name and its number.
 
         If several targets have the same name, the first is used.
         """
@@ -375,7 +379,7 @@ class _Compiler:
     # -- expressions -------------------------------------------------------------------------------
 
     def _takes(self, node: Expression) -> bool:
-        """Whether an expression contains calls that are instructions."""
+        """Whether an expression contains a call that becomes an instruction."""
         if not node.has_calls:
             return False
         if id(node) not in self._taking:
@@ -383,7 +387,7 @@ class _Compiler:
         return self._taking[id(node)]
 
     def _is_instruction(self, node: Expression) -> bool:
-        """Whether an expression is a call that is an instruction."""
+        """Whether an expression is a call that becomes an instruction."""
         if not isinstance(node, Call) or node.is_run:
             return isinstance(node, MethodCall)
         found = self.functions.get(node.name)
@@ -414,7 +418,7 @@ class _Compiler:
         return operations.temporary(slot)
 
     def _value(self, node: Expression) -> Function:
-        """Return the Python function of an expression, and emit the instructions in it."""
+        """Return the Python function for an expression, and emit the instructions for its calls."""
         self._parts += 1
         return _EXPRESSIONS[node.__class__](self, node)
 
@@ -473,7 +477,7 @@ class _Compiler:
         join_of = operations.both if node.operator == "and" else operations.either
         if not self._takes(node.right):
             return join_of(self._value(node.left), self._value(node.right), place)
-        # If the left operand decides the result, jump over the instructions of the right one.
+        # If the left operand determines the result, jump over the instructions of the right operand.
         settled, slot = Label(), self._slot()
         left = operations.checked_truth(self._value(node.left), place)
         self._emit(node, lambda after: instructions.store(False, slot, left, after))
@@ -522,7 +526,7 @@ class _Compiler:
         return operations.temporary(slot)
 
     def _struct(self, node: Call) -> Function:
-        """`struct(a=1, b=2)`: the argument names are the member names."""
+        """Compile `struct(a=1, b=2)`, in which the names of the arguments are the names of the members."""
         for argument in node.arguments:
             raise self._program.error(argument, "compile_error_member_without_name:struct:")
         names = [name for name, _ in node.named]
@@ -552,7 +556,7 @@ class _Compiler:
         return operations.temporary(slot)
 
     def _interpreter_mode(self, node: Call, arguments: Sequence[Function]) -> Function:
-        """Emit two instructions rather than a function, because statements can arrive in between."""
+        """Emit two instructions for `interpreter_mode`, because statements can arrive between them."""
         slot = self._slot()
         on_enter, on_end = arguments
         self._emit(node, lambda after: instructions.enter_interpreter(self.statement, on_enter, on_end, after))
@@ -560,17 +564,17 @@ class _Compiler:
         return operations.constant(None)
 
     def _takes_time(self, node: Node, what: str) -> None:
-        """Raise in a `sec` program, whose calls may not take time.
+        """Raise if this is a `sec` program, in which calls may not take time.
 
-        It is assumed that this is a compile error.
+        It is assumed that such a call is a compile error.
         """
         if self._program.kind == "sec":
             raise self._program.error(node, f"compile_error_not_allowed_in_secondary_program:{what}:")
 
     def _arguments(self, node: Call, parameters: Sequence[tuple[str, object]]) -> list[Function]:
-        """Return one function for each parameter, in order.
+        """Return one function for each parameter, in the order of the parameters.
 
-        A wrong number of arguments is a run-time error.
+        If the number of arguments is wrong, the program fails at run time.
         """
         positions = {name: at for at, (name, _) in enumerate(parameters)}
         for name, value in node.named:
@@ -598,9 +602,9 @@ class _Compiler:
         ]
 
 
-# Bound methods in the compiler would create a reference cycle. Everything that a program was compiled from would then
-# stay in memory until the next garbage collection.
-#: Kind of a statement -> method that compiles it.
+# These tables are not in the compiler object, because bound methods in it would create a reference cycle. The whole
+# syntax tree would then stay in memory until the next garbage collection. Class of a statement -> method that compiles
+# it.
 _STATEMENTS: dict[type[Statement], Callable[[_Compiler, Any], None]] = {
     Assign: _Compiler._assign,
     Evaluate: _Compiler._evaluate,
@@ -616,7 +620,7 @@ _STATEMENTS: dict[type[Statement], Callable[[_Compiler, Any], None]] = {
     Definition: _Compiler._define,
     Declare: lambda compiler, s: None,
 }
-#: Kind of an expression -> method that compiles it.
+#: Class of an expression -> method that compiles it.
 _EXPRESSIONS: dict[type[Expression], Callable[[_Compiler, Any], Function]] = {
     Constant: _Compiler._constant,
     Name: _Compiler._variable,

@@ -1,6 +1,6 @@
-"""Make the instructions of the machine for their operands.
+"""Functions that make the instructions of the machine.
 
-Each instruction returns the number of the next instruction, usually `after`.
+An instruction is a Python function. It returns the number of the next instruction, which is usually `after`.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from .machine import ENDED, GLOBALS, THREAD, Code, Frame, Instruction, ScriptThr
 from .operations import Function
 from .values import NUMBERS, UNSET
 
-# Copies of lists up to this length are not counted as work.
+# Maximum length of a list whose copy is not counted as work.
 _SHORT = 32
 
 
 class Label:
-    """A jump target whose position is set later.
+    """Target of a jump. The position of the target is set later.
 
     Attributes:
         at: Number of the instruction.
@@ -30,7 +30,7 @@ class Label:
 
 
 def evaluate(value: Function, after: int) -> Instruction:
-    """Evaluate an expression for its effect."""
+    """Evaluate an expression and discard its value."""
 
     def run(f: Frame, value: Function = value, after: int = after) -> int:
         value(f)
@@ -40,7 +40,7 @@ def evaluate(value: Function, after: int) -> Instruction:
 
 
 def spend(work: int, after: int) -> Instruction:
-    """Count the extra work of the next instruction."""
+    """Count the additional work of the next instruction."""
 
     def run(f: Frame) -> int:
         f[THREAD].machine.spend(work)
@@ -111,7 +111,7 @@ def jump(label: Label) -> Instruction:
 
 
 def jump_to_label(labels: Mapping[str | int, Label], wanted: Function) -> Instruction:
-    """Jump to the node of this function with a name or number."""
+    """Jump to the node of this function that has this name or number."""
     places = {name: label.at for name, label in labels.items()}
 
     def run(f: Frame) -> int:
@@ -125,7 +125,7 @@ def jump_to_label(labels: Mapping[str | int, Label], wanted: Function) -> Instru
 
 
 def branch(condition: Function, otherwise: Label, after: int) -> Instruction:
-    """Jump to a label unless the condition holds."""
+    """Jump to a label if the condition is false."""
     away = otherwise.at
 
     def run(f: Frame) -> int:
@@ -186,7 +186,7 @@ def enter_interpreter(
         thread: ScriptThread = f[THREAD]
         machine = thread.machine
         if machine.main is not thread:
-            raise Fault("interpreter_mode() is for the main thread only")
+            raise Fault("interpreter_mode() must be called in the main thread")
         if machine.statements.is_on:
             raise Fault("interpreter_mode() was called in interpreter mode")
         machine.statements.enter(statement, values.truth(clear_on_enter(f)), values.truth(clear_on_end(f)))
@@ -196,7 +196,7 @@ def enter_interpreter(
 
 
 def interpret(destination: int, after: int) -> Instruction:
-    """Run the next statement, or wait for one; continue when the mode is off."""
+    """Run the next statement, or wait for one. Continue at `after` when interpreter mode has ended."""
     here = after - 1
 
     def wait() -> Waiting:
@@ -210,7 +210,7 @@ def interpret(destination: int, after: int) -> Instruction:
         taken = statements.take()
         if taken is None:
             return thread.await_(wait(), here, destination)
-        # The statement runs in the frame of this function, and might have added variables.
+        # The statement runs in the frame of this function. Extend the frame if the statement has added variables.
         f.extend([UNSET] * (taken.code.size - len(f)))
         f[GLOBALS].extend([UNSET] * (taken.n_globals - len(f[GLOBALS])))
         return thread.call(taken.code, f, here, destination)
@@ -219,7 +219,7 @@ def interpret(destination: int, after: int) -> Instruction:
 
 
 def start(code: Code, arguments: Sequence[Function]) -> Function:
-    """Return an expression for `run`, whose value is the new thread."""
+    """Return a function for `run`. It starts a thread, and returns the thread as its value."""
 
     def run(f: Frame) -> ScriptThread:
         thread: ScriptThread = f[THREAD]
@@ -229,7 +229,7 @@ def start(code: Code, arguments: Sequence[Function]) -> Function:
 
 
 def kill(handle: Function, after: int) -> Instruction:
-    """End a thread, which may be this one or one that has ended."""
+    """End a thread. It can be the calling thread, or a thread that has already ended."""
 
     def run(f: Frame) -> int:
         thread = _thread(handle(f))
@@ -255,7 +255,7 @@ def join(handle: Function, destination: int, after: int) -> Instruction:
 
 
 def halt() -> Instruction:
-    """End the program, from any of its threads."""
+    """End the program; any thread can do this."""
 
     def run(f: Frame) -> int:
         thread: ScriptThread = f[THREAD]
@@ -266,7 +266,7 @@ def halt() -> Instruction:
 
 
 def _frame(code: Code, arguments: Sequence[Function], f: Frame) -> Frame:
-    """Return the frame of a called function: its arguments, and other variables unset."""
+    """Return the frame for a called function: the arguments, and `UNSET` for all other variables."""
     frame = [f[GLOBALS], f[THREAD], *[argument(f) for argument in arguments]]
     frame.extend([UNSET] * (code.size - len(frame)))
     return frame
@@ -275,7 +275,7 @@ def _frame(code: Code, arguments: Sequence[Function], f: Frame) -> Frame:
 def _thread(value: Any) -> ScriptThread | None:
     """Return the thread of a handle; None for an integer.
 
-    Drivers kill and join variables that still contain 0.
+    Integers are accepted because programs of drivers kill and join variables that still contain 0.
     """
     if isinstance(value, ScriptThread):
         return value

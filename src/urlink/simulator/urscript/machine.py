@@ -1,19 +1,21 @@
-"""Run compiled programs: their threads take turns, cycle by cycle.
+"""Machine that runs a compiled program. The threads of the program take turns in each controller cycle.
 
-A function is a list of instructions, and the machine contains no recursion. A frame is a plain list: the program's
-globals, the running thread, and the function's own variables. An instruction is a Python function of the frame. It
-returns the number of the next instruction, or one of the three numbers below, which state why there is none.
+A function of the program is a list of instructions. The machine does not use recursion. A frame is a plain list that
+contains the program's globals, the running thread, and the variables of the function. An instruction is a Python
+function that is called with the frame. It returns the number of the next instruction. If there is no next instruction,
+it returns `SWITCHED`, `WAITING` or `ENDED`.
 
-In each cycle, every thread runs, in the order in which the threads were started. A thread runs until it does something
-that takes time, or until its slice of the cycle is used up. It then continues in the next cycle. So a loop that waits
-for a variable lets the other threads run; an example is a timer, which PolyScope counts in a separate thread. The
-program is stopped if none of its threads waits for anything, or if a thread loops for half a second while no other
-assigns to a global variable (assumed). The order of threads on a real controller is unknown. Its manual states that
-each thread has a slice of every cycle.
+In each cycle, every thread runs, in the order in which the threads were started. A thread runs until it calls a
+function that takes time, or until its slice of the cycle is used up. The thread then continues in the next cycle. So a
+loop that waits for a variable lets the other threads run. An example of such a variable is a timer, which PolyScope
+counts in a separate thread. The program is stopped in two cases (assumed). The first is that all threads use up their
+slices in the same cycle. The second is that a thread loops for half a second while no other thread assigns to a global
+variable. The order of the threads on a real controller is unknown. According to the manual, each thread has a slice of
+every cycle.
 
-A critical section only keeps a controller from taking turns inside it. A driver in the field waits for its socket
-inside a critical section, and joins a thread that enters one. Here, threads take turns only when time passes, so a
-critical section has no effect.
+On a real controller, the only effect of a critical section is that other threads do not run while a thread is inside
+it. A driver in use waits for its socket inside a critical section, and joins a thread that enters one. In the
+simulator, threads take turns only when time passes, so a critical section has no effect.
 """
 
 from __future__ import annotations
@@ -47,19 +49,19 @@ Instruction = Callable[[Frame], int]
 
 #: Positions of the globals, the thread and the first variable in a frame.
 GLOBALS, THREAD, FIRST = 0, 1, 2
-#: Another function continues; the thread waits for a later cycle; the thread has ended.
+#: Return values of instructions: another function continues; the thread waits for a later cycle; the thread has ended.
 SWITCHED, WAITING, ENDED = -1, -2, -3
 
 
 @dataclass(eq=False)
 class Code:
-    """A function.
+    """Compiled function of a program.
 
     Attributes:
         source: Text of the program.
-        size: Size of its frame.
-        instructions: Instructions, one after the other.
-        places: Place of each instruction in the text.
+        size: Size of the frame of the function.
+        instructions: Instructions in the order of execution.
+        places: Character offset of each instruction in the text.
     """
 
     source: SourceText
@@ -69,13 +71,13 @@ class Code:
 
 
 class StatementCode(NamedTuple):
-    """A statement that arrived while the program was running.
+    """Compiled statement that arrived in interpreter mode.
 
-    It runs in the frame of the function whose scope it uses.
+    The statement runs in the frame of the function that has called `interpreter_mode`.
 
     Attributes:
         code: Instructions of the statement.
-        n_globals: Current number of global variables of the program.
+        n_globals: Number of global variables of the program, including variables that the statement adds.
     """
 
     code: Code
@@ -84,12 +86,12 @@ class StatementCode(NamedTuple):
 
 @dataclass(eq=False)
 class Script:
-    """A program that compiles.
+    """Compiled program.
 
     Attributes:
-        name: Name after `def` or `sec`; "unnamed" (assumed) for statements alone.
-        kind: Kind of the program. `sec` runs in addition to the program that moves the arm.
-        main: Code at which the program begins.
+        name: Name after `def` or `sec`; "unnamed" (assumed) if the program consists only of statements.
+        kind: Kind of the program. A `sec` program runs in addition to the program that moves the arm.
+        main: Code that runs first.
         n_globals: Number of global variables.
     """
 
@@ -99,17 +101,19 @@ class Script:
     n_globals: int
 
 
-#: A function that takes time. It yields once for every cycle that it waits, and returns its value.
+#: Call of a function that takes time. It yields once for every cycle that it waits, and then returns the value of the
+#: call.
 Waiting = Generator[None, None, Any]
 
-#: Instructions of a thread that has used up its slice in the previous cycle, because it waits for another thread.
+#: Maximum number of instructions for a thread that has used up its slice in the previous cycle. Such a thread probably
+#: waits in a loop for another thread.
 _SPINNING = 1000
-# The bound of the text covers small frames. Larger frames count as memory.
+# Size above which a frame counts as memory. For smaller frames, the limit of the program's length is sufficient.
 _SMALL_FRAME = 64
 
 
 class ScriptThread:
-    """A thread of a program: its frames, and the call that it waits for.
+    """Thread of a program, with its frames and the call for which it waits.
 
     Attributes:
         is_over: Whether the thread has ended or was killed.
@@ -138,8 +142,8 @@ class ScriptThread:
         self._frame = frame
         self._next = 0
         self._depth = 0
-        # Global variables after the thread had used up its slice of the previous cycle, and the number of cycles since
-        # another thread has assigned to a global variable.
+        # Global variables at the moment at which the thread had used up its slice of the previous cycle, and number of
+        # such cycles since another thread has assigned to a global variable.
         self._seen: list[Any] | None = None
         self._spins = 0
         self._stack: list[tuple[Code, Frame, int, int]] = []
@@ -148,7 +152,7 @@ class ScriptThread:
         frame[THREAD] = self
 
     def call(self, code: Code, frame: Frame, after: int, destination: int) -> int:
-        """Enter a function. Its value is stored in the caller's slot `destination`."""
+        """Enter a function. The return value will be stored in the caller's slot `destination`."""
         self._depth += 1
         if self._depth > MAX_CALL_DEPTH:
             raise Fault(f"calls are nested too deeply; the limit is {MAX_CALL_DEPTH}")
@@ -169,7 +173,7 @@ class ScriptThread:
         return SWITCHED
 
     def await_(self, waiting: Waiting, after: int, destination: int) -> int:
-        """Begin a call that takes time. Its value is stored in the slot `destination`."""
+        """Begin a call that takes time. The return value will be stored in the slot `destination`."""
         try:
             next(waiting)
         except StopIteration as done:
@@ -179,7 +183,7 @@ class ScriptThread:
         return WAITING
 
     def end(self) -> None:
-        """End the thread, at any place."""
+        """End the thread, wherever it is in the program."""
         if not self.is_over:
             self.is_over = True
             wait, self._wait = self._wait, None
@@ -210,7 +214,7 @@ class ScriptThread:
             if self._seen is not None:
                 most = min(most, self._waited(frame[GLOBALS]))
             for left in range(most, 0, -1):
-                at = instructions[at](frame)  # if it raises, `at` is still the number of this instruction
+                at = instructions[at](frame)  # if the instruction raises, `at` is still its number
                 if at < 0:
                     if at == SWITCHED:
                         at, frame, instructions = self._next, self._frame, self._code.instructions
@@ -219,7 +223,8 @@ class ScriptThread:
                         return
             machine.left -= most
             self._next = at
-            # A program waits for a socket anyway. After a read, it continues in the next cycle.
+            # If any thread has read from a socket in this cycle, the program waits for a peer, so it is not an endless
+            # loop.
             if most and not machine.reads:
                 self._seen = list(frame[GLOBALS])
                 machine.spinning += 1
@@ -229,10 +234,11 @@ class ScriptThread:
             raise self._error(at, str(error), None) from None
 
     def _waited(self, variables: list[Any]) -> int:
-        """Return the instructions for a thread that used up its slice in the previous cycle.
+        """Return the number of instructions for a thread that used up its slice in the previous cycle.
 
         Raises:
-            Fault: If the thread has done so for too long, while no other thread has assigned to a global variable.
+            Fault: If the thread has used up its slices for too long, while no other thread has assigned to a global
+                variable.
         """
         seen, self._seen = self._seen or [], None
         self._spins = self._spins + 1 if all(map(is_, seen, variables)) else 0
@@ -241,7 +247,7 @@ class ScriptThread:
         return _SPINNING
 
     def endless(self) -> ProgramError:
-        """Return the error of a program none of whose threads waits for anything."""
+        """Return the error for a program in which no thread waits for a later cycle."""
         return self._error(self._next, str(endless(self.world.firmware)), None)
 
     def _error(self, at: int, text: str, place: int | None) -> ProgramError:
@@ -251,26 +257,26 @@ class ScriptThread:
 
     @property
     def memory(self) -> int:
-        """Number of elements and characters in its variables."""
+        """Number of elements and characters in the variables of the thread."""
         frames = [self._frame, *(frame for _, frame, _, _ in self._stack)]
         return sum(len(frame) + sum(map(weight, frame)) for frame in frames)
 
 
 class Machine:
-    """All threads of one program.
+    """Machine of one program, which runs all its threads.
 
     Attributes:
-        world: The controller.
+        world: Controller, as the program uses it.
         statements: Statements from clients, in interpreter mode.
-        left: Number of instructions that may still run in this cycle.
-        slice: Number of these instructions that one thread may run.
+        left: Number of instructions that can still run in this cycle.
+        slice: Number of instructions that one thread may run in this cycle.
         spinning: Number of threads that have used up their slice in this cycle.
         reads: Number of reads from sockets in this cycle.
         remote_calls: Number of calls of remote methods so far.
-        random: Random numbers for the function of that name, the same in every run.
-        has_matrices: Whether arithmetic accepts matrices.
-        history: Joint positions of past cycles, newest last.
-        has_moved: Whether a motion was begun.
+        random: Source of random numbers for the function `random`. The numbers are the same in every run.
+        has_matrices: Whether the firmware supports arithmetic with matrices.
+        history: Joint positions of past cycles; the newest are last.
+        has_moved: Whether the program has begun any motion.
     """
 
     def __init__(self, script: Script, world: ScriptWorld) -> None:
@@ -293,7 +299,7 @@ class Machine:
         self.main = self.start(script.main, [self._globals, None, *[UNSET] * (script.main.size - 2)])
 
     def start(self, code: Code, frame: Frame) -> ScriptThread:
-        """Start a thread. It runs after the existing threads, in the same cycle."""
+        """Start a thread. It runs in the same cycle, after the existing threads."""
         if len(self._threads) >= MAX_THREADS:
             raise Fault(f"Too many threads: {MAX_THREADS}")
         thread = ScriptThread(self, code, frame)
@@ -311,7 +317,7 @@ class Machine:
         self.slice = MAX_INSTRUCTIONS // len(threads)
         self.spinning = self.reads = self._work = 0
         self.history.append(tuple(self.world.q_actual))
-        # A new thread appends itself to this list.
+        # The loop also runs new threads, because `start` appends them to this list.
         for thread in threads:
             if not thread.is_over:
                 thread.run()
@@ -331,7 +337,7 @@ class Machine:
         self._globals.clear()
 
     def forget(self, thread: ScriptThread) -> None:
-        """Handle the end of a thread. If it commanded the arm, the arm brakes."""
+        """Process the end of a thread. If this thread commanded the arm, the arm brakes."""
         if self._owner is thread:
             self._owner = None
             self.world.motion.release()
@@ -340,7 +346,7 @@ class Machine:
         """Command the arm, and wait until the motion has ended.
 
         Raises:
-            Fault: If another thread's motion has not ended.
+            Fault: If a motion of another thread has not ended.
         """
         if self._owner is not None and self._owner is not thread and self._move is not None and not self._move.is_over:
             raise Fault("Another thread is already controlling the robot")
@@ -351,7 +357,7 @@ class Machine:
             move = self._move = begin()
         except OutOfReach as unreachable:
             raise Fault(str(unreachable)) from None
-        yield  # even a motion without a distance takes a cycle
+        yield  # even a motion to the current position takes a cycle
         while not (move.is_over or self._is_aborted):
             yield
         if self._owner is thread:
@@ -369,13 +375,13 @@ class Machine:
     # -- bounds ------------------------------------------------------------------------------------
 
     def spend(self, work: int) -> None:
-        """Count work that costs as much as making this many elements."""
+        """Count work that costs as much as the creation of `work` elements."""
         self._work += work
         if self._work > MAX_WORK:
             raise endless(self.world.firmware)
 
     def charge(self, elements: int) -> None:
-        """Count the creation of this many elements."""
+        """Count the creation of elements, as work and as memory."""
         self.spend(elements)
         self._made += elements
         if self._made > MAX_MEMORY // 4:
@@ -386,13 +392,13 @@ class Machine:
 
 
 class Execution:
-    """One run of a program.
+    """Execution of a program.
 
     Attributes:
-        script: The program.
-        is_over: Whether the program has ended. Its main thread has ended, which ends the others, or it was stopped, or
-            it failed.
-        error: Run-time error that ended it, or None.
+        script: Compiled program.
+        is_over: Whether the program has ended. A program ends when its main thread ends, when it is stopped, or when it
+            fails.
+        error: Run-time error that has ended the program, or None.
     """
 
     def __init__(self, script: Script, world: ScriptWorld) -> None:
@@ -420,7 +426,7 @@ class Execution:
             self.stop()
 
     def stop(self) -> None:
-        """End all threads, release the arm, and close the program's sockets."""
+        """End all threads, let the arm brake, and close the sockets of the program."""
         if self.is_over:
             return
         self.is_over = True

@@ -1,8 +1,9 @@
-"""Arithmetic of matrices, which are lists of rows: lists of numbers with the same length.
+"""Arithmetic of matrices. A matrix is a list of rows, and a row is a list of numbers. All rows have the same length.
 
-The script manual describes it for 3.14, 5.9 and later: a matrix times a number, a list and a matrix, sums and
-differences of equal sizes, `transpose` and `inv`. Two facts are assumed. A number is added to each element, as for a
-list. A list to the left of a matrix is a row.
+The script manual describes this arithmetic for firmware 3.14, 5.9 and later. A matrix can be multiplied by a number, a
+list or a matrix. Matrices of equal size can be added and subtracted. `transpose` and `inv` transpose and invert a
+matrix. Two facts are assumed. If a number is added to a matrix, it is added to each element, as for a list. A list to
+the left of a matrix is a row.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from linkcore.wire.fields import Since
 from .errors import MAX_ELEMENTS, Fault, type_error
 from .values import NUMBERS, Charge, add, checked, divide, modulo, multiply, subtract, type_name
 
-#: First releases that compute with matrices.
+#: First firmware releases that support arithmetic with matrices.
 HAS_MATRICES = Since("3.14/5.9")
 
 Matrix = tuple[tuple[Any, ...], ...]
@@ -29,7 +30,7 @@ def is_matrix(value: Any) -> bool:
 
 
 def rows_of(value: Any, charge: Charge) -> Matrix:
-    """Return the rows of a matrix, after checking that they are numbers of one length."""
+    """Check that the rows contain only numbers and have the same length, and return them."""
     if not is_matrix(value):
         raise type_error(f"the value has the type {type_name(value)}; expected a matrix")
     columns = len(value[0])
@@ -48,7 +49,7 @@ def transposed(value: Any, charge: Charge) -> Matrix:
 
 
 def on_matrices(function: Callable[[Any, Any, Charge], Any], a: Any, b: Any, charge: Charge) -> Any:
-    """Apply an operator of `values` to operands, at least one of which is a matrix."""
+    """Apply an operator of `values` to two operands. At least one operand is a matrix."""
     if function is multiply and a.__class__ is tuple and b.__class__ is tuple:
         return _product(a, b, charge)
     left = rows_of(a, charge) if a.__class__ is tuple else None
@@ -76,7 +77,8 @@ def _size(matrix: Matrix) -> str:
 def _product(a: Any, b: Any, charge: Charge) -> Any:
     """Return the product of two matrices, or of a matrix and a list.
 
-    The second product is a list. The list is a column on the right, and a row on the left.
+    The product of a matrix and a list is a list. A list to the right of the matrix is a column, and a list to the left
+    is a row.
     """
     left = rows_of(a if is_matrix(a) else (a,), charge)
     right = rows_of(b, charge) if is_matrix(b) else transposed((b,), charge)
@@ -87,7 +89,7 @@ def _product(a: Any, b: Any, charge: Charge) -> Any:
         raise Fault(f"List too long: {elements} elements")
     charge(elements * len(right))
     columns = list(zip(*right, strict=True))
-    # Avoid `sum`, which rounds differently since Python 3.12.
+    # Do not use `sum`, which rounds differently since Python 3.12.
     made = tuple(
         [
             tuple([checked(reduce(operator.add, map(operator.mul, row, column), 0)) for column in columns])

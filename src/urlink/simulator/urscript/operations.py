@@ -1,10 +1,11 @@
-"""Make Python functions of the frame from expressions.
+"""Functions that make a Python function for each kind of expression.
 
-The functions themselves handle the common cases, numbers in variables. All other cases are handled in `values`.
+Such a Python function is called with the frame, and returns the value of the expression. It handles the common cases
+itself, which are numbers in variables. `values` handles all other cases.
 
-Many functions store their operands as default values rather than as closure variables. That is faster, and creates two
-objects instead of the five of a closure. A long program has hundreds of thousands of them, and each garbage collection
-visits all objects.
+Many functions store their operands as default values of parameters rather than as closure variables. This is faster,
+and makes two objects per function instead of five. The difference matters because a long program has hundreds of
+thousands of such functions, and each garbage collection visits all objects.
 """
 
 from __future__ import annotations
@@ -23,12 +24,12 @@ Function = Callable[[Frame], Any]
 
 
 def _at(place: int, fault: Fault) -> Fault:
-    """Return the fault with the place `place`, unless it already has a place."""
+    """Set the place of a fault unless the fault already has one, and return the fault."""
     return fault if fault.place is not None else Fault(str(fault), place)
 
 
 def placed(function: Function, place: int) -> Function:
-    """Return the same function, but with a place in its faults."""
+    """Return a function that does the same, but adds a place to faults that have none."""
 
     def run(f: Frame) -> Any:
         try:
@@ -87,7 +88,7 @@ def global_variable(slot: int, name: str, place: int) -> Function:
 
 
 def display(items: Sequence[Function], place: int) -> Function:
-    """Make a function that returns a list."""
+    """Make a function that returns a list of these values."""
 
     def run(f: Frame, items: Sequence[Function] = items) -> Any:
         return values.list_of([item(f) for item in items], f[THREAD].machine.charge)
@@ -96,13 +97,13 @@ def display(items: Sequence[Function], place: int) -> Function:
 
 
 def pose_display(items: Sequence[Function], place: int) -> Function:
-    """Make a function that returns a pose."""
+    """Make a function that returns a pose of these values."""
 
     def run(f: Frame) -> Any:
         made = [item(f) for item in items]
         for number in made:
             if number.__class__ not in NUMBERS:
-                raise type_error(f"{values.type_name(number)} in a pose")
+                raise type_error(f"a pose cannot contain a value of type {values.type_name(number)}")
         return PoseValue(made)
 
     return placed(run, place)
@@ -122,7 +123,7 @@ def _element_of_variable(value: Any, at: int, name: str, variable: int, place: i
 
 
 def element(base: Function, index: Function, place: int) -> Function:
-    """`base[index]`"""
+    """Make a function for `base[index]`."""
 
     def run(f: Frame, base: Function = base, index: Function = index, place: int = place) -> Any:
         value, at = base(f), index(f)
@@ -137,7 +138,7 @@ def element(base: Function, index: Function, place: int) -> Function:
 
 
 def local_element(slot: int, at: int, name: str, variable: int, place: int) -> Function:
-    """`name[at]` of a local variable; `variable` is the place of its name."""
+    """Make a function for `name[at]`, an element of a local variable; `variable` is the place of the name."""
 
     def run(
         f: Frame, slot: int = slot, at: int = at, name: str = name, variable: int = variable, place: int = place
@@ -154,7 +155,7 @@ def local_element(slot: int, at: int, name: str, variable: int, place: int) -> F
 
 
 def global_element(slot: int, at: int, name: str, variable: int, place: int) -> Function:
-    """`name[at]` of a global variable; `variable` is the place of its name."""
+    """Make a function for `name[at]`, an element of a global variable; `variable` is the place of the name."""
 
     def run(
         f: Frame, slot: int = slot, at: int = at, name: str = name, variable: int = variable, place: int = place
@@ -171,7 +172,7 @@ def global_element(slot: int, at: int, name: str, variable: int, place: int) -> 
 
 
 def structure(names: Sequence[str], items: Sequence[Function], place: int) -> Function:
-    """Make a function that returns a struct with members of these names."""
+    """Make a function that returns a struct; the members have these names and values."""
 
     def run(f: Frame) -> Any:
         made = dict(zip(names, [item(f) for item in items], strict=True))
@@ -181,22 +182,22 @@ def structure(names: Sequence[str], items: Sequence[Function], place: int) -> Fu
 
 
 def member(base: Function, name: str, place: int) -> Function:
-    """`base.name`"""
+    """Make a function for `base.name`."""
     return placed(lambda f: values.member(base(f), name), place)
 
 
 def both(left: Function, right: Function, place: int) -> Function:
-    """Make an `and`. The right operand is evaluated only if the left is true (assumed)."""
+    """Make a function for `and`. It evaluates the right operand only if the left operand is true (assumed)."""
     return placed(lambda f: truth(left(f)) and truth(right(f)), place)
 
 
 def either(left: Function, right: Function, place: int) -> Function:
-    """Make an `or`. The right operand is evaluated only if the left is false (assumed)."""
+    """Make a function for `or`. It evaluates the right operand only if the left operand is false (assumed)."""
     return placed(lambda f: truth(left(f)) or truth(right(f)), place)
 
 
 def inverted(operand: Function, place: int) -> Function:
-    """`not`"""
+    """Make a function for `not`."""
     return placed(lambda f: not truth(operand(f)), place)
 
 
@@ -206,7 +207,7 @@ def checked_truth(operand: Function, place: int) -> Function:
 
 
 def signed(sign: str, operand: Function, place: int) -> Function:
-    """`-a`, `+a`"""
+    """Make a function for `-a` or `+a`."""
     factor = -1 if sign == "-" else 1
 
     def run(f: Frame) -> Any:
@@ -219,12 +220,12 @@ def signed(sign: str, operand: Function, place: int) -> Function:
 
 
 def operation(sign: str, left: Function, right: Function, place: int) -> Function:
-    """Arithmetic, comparison, or `xor`."""
+    """Make a function for an arithmetic operation, a comparison, or `xor`."""
     return _OPERATIONS[sign](left, right, place)
 
 
-# A result between the two limits is a valid integer and a valid float; the comparison is false for NaN. `_slow` handles
-# results outside the limits.
+# A result within the limits is valid, both as an integer and as a float. The comparison is false for NaN. `_slow`
+# handles results outside the limits.
 
 
 def _slow(function: Callable[[Any, Any, values.Charge], Any], a: Any, b: Any, f: Frame, place: int) -> Any:
@@ -363,7 +364,7 @@ _OPERATIONS: dict[str, Callable[[Function, Function, int], Function]] = {
 }
 
 
-# The most common case: the right operand is a constant number.
+# This is the most common case: the right operand is a constant number.
 
 
 def _sum_with(left: Function, b: float, place: int) -> Function:
@@ -428,7 +429,7 @@ _OPERATIONS_BY: dict[str, Callable[[Function, float, int], Function]] = {
 
 
 def operation_by(sign: str, left: Function, right: float, place: int) -> Function:
-    """Like `operation`, but with a number as right operand."""
+    """Make a function like `operation` does, but with a constant number as right operand."""
     by = _OPERATIONS_BY.get(sign)
     return operation(sign, left, constant(right), place) if by is None else by(left, right, place)
 
@@ -452,7 +453,7 @@ def choice(condition: Function, then: Function, otherwise: Function, place: int)
 
 
 def leaf_call(function: Function, arguments: Sequence[Function]) -> Function:
-    """Make a function that calls a leaf function, in a frame with its arguments."""
+    """Make a function that calls a leaf function with a frame that contains the arguments."""
 
     def run(f: Frame, function: Function = function, arguments: Sequence[Function] = arguments) -> Any:
         frame = [f[GLOBALS], f[THREAD]]

@@ -1,4 +1,4 @@
-"""Recursive-descent parser: tokens to a syntax tree.
+"""Recursive-descent parser, which converts the tokens of a program to a syntax tree.
 
     program    = { statement }
     statement  = definition | if | while | simple | "pass" | "$" number string [ string ]
@@ -24,21 +24,22 @@
                | "p" "[" six expressions "]" | [ "run" ] name "(" [ argument { "," argument } ] ")" | name
     argument   = [ name "=" ] expression
 
-Some facts are from public programs that run on real controllers (docs/protocols/urscript.md, What public programs
-need):
+The following facts are known from public programs that run on real controllers (docs/protocols/urscript.md, What public
+programs need):
 
-- Line ends are white space, so two statements can share a line, and an expression can continue on the next.
+- Line ends are white space. So two statements can be on one line, and an expression can continue on the next line.
 - Blocks can be empty.
-- PolyScope writes `$ 1 "Robot Program"` or `$ 3 "home" "breakAfter"` before each node of a program. It has no effect
-  except as a target of `jump_to_label`.
-- `m[i, j]` is an element of a matrix, a list of lists. `p[i]` is an element of a variable named p. `s.a` is a member of
-  `struct(a=1)`. `handle.method(x)` calls a method of the result of a factory.
+- PolyScope writes `$ 1 "Robot Program"` or `$ 3 "home" "breakAfter"` before each node of a program. The only effect of
+  this text is that `jump_to_label` can jump to it.
+- `m[i, j]` is an element of a matrix, which is a list of lists. `p[i]` is an element of a variable with the name p.
+  `s.a` is a member of a struct such as `struct(a=1)`. `handle.method(x)` calls a remote method; the handle is the
+  result of `rpc_factory`.
 
-Other facts are assumed: the precedence of `xor`, and that an expression statement begins with a name. The value of a
-`return` is assumed to begin on its line; otherwise the next statement would be taken as the value. `true` and `false`
-occur in users' programs and mean `True` and `False`.
+Three things are assumed. The first is the precedence of `xor`. The second is that a statement which consists of an
+expression begins with a name. The third is that the value of a `return` begins on the same line; otherwise the next
+statement would be read as the value. `true` and `false` occur in users' programs and mean `True` and `False`.
 
-Each token is examined a bounded number of times, so the work is linear in the text.
+Each token is examined a limited number of times, so the work is proportional to the length of the text.
 """
 
 from __future__ import annotations
@@ -85,9 +86,9 @@ from .values import MemberName
 _LEVELS = (("or",), ("xor",), ("and",), ("==", "!=", "<", "<=", ">", ">="), ("+", "-"), ("*", "/", "%"))
 _BINDING = {operator: level for level, operators in enumerate(_LEVELS, 1) for operator in operators}
 _COMPARISON = 4
-#: Tokens that continue a primary expression.
+#: Tokens that continue an expression such as a name.
 _POSTFIX = ("[", ".")
-#: Tokens that are a complete expression, unless a token of `_CONTINUATIONS` follows.
+#: Kinds of tokens that are a complete expression, unless a token of `_CONTINUATIONS` follows.
 _LEAVES = frozenset({NAME, NUMBER, STRING, "True", "False", "true", "false"})
 _CONTINUATIONS = frozenset({*_BINDING, *_POSTFIX, "("})
 
@@ -96,7 +97,8 @@ def parse(source: SourceText) -> Block:
     """Return the statements of a program.
 
     Raises:
-        ProgramError: If there is a syntax error. It has the place and the controller's text.
+        ProgramError: If there is a syntax error. The error contains the position in the text and the controller's
+            message.
     """
     return _Parser(source).program()
 
@@ -111,7 +113,7 @@ class _Parser:
     # -- tokens ------------------------------------------------------------------------------------
 
     def _take(self) -> int:
-        """Consume the current token, which is not the end, and return its place."""
+        """Consume the current token, which must not be the end of the text, and return its place."""
         self._at += 1
         return self._places[self._at - 1]
 
@@ -127,7 +129,7 @@ class _Parser:
         return False
 
     def _name(self) -> tuple[int, str]:
-        """Consume a name, and return its place and text."""
+        """Consume a name, and return its place and its text."""
         place = self._expect(NAME)
         return place, self._texts[self._at - 1]
 
@@ -148,7 +150,7 @@ class _Parser:
         return self._source.failure(place, f"nesting_too_deep_on_line:{line}:")
 
     def _depth(self, place: int, parts: Sequence[Expression]) -> int:
-        """Return the nesting depth of an expression with these parts."""
+        """Return the nesting depth of an expression that has these parts."""
         depth = 1 + max((part.depth for part in parts), default=0)
         if depth > MAX_NESTING:
             raise self._too_deep(place)
@@ -163,7 +165,7 @@ class _Parser:
         return block
 
     def _block(self, *ends: str) -> Block:
-        """Parse statements up to one of these keywords, which is not consumed."""
+        """Parse statements up to one of these keywords. The keyword is not consumed."""
         block: Block = []
         self._deeper()
         while self._kinds[self._at] not in ends:
@@ -325,7 +327,7 @@ class _Parser:
         return value
 
     def _member(self, base: Expression) -> Expression:
-        """Parse a member or method. Its name may be a keyword, as in `program.end()`."""
+        """Parse a member or a method call. The name may be a keyword, as in `program.end()`."""
         name = self._texts[self._at]
         if not name.isidentifier():
             raise self._unexpected()
@@ -370,7 +372,7 @@ class _Parser:
         raise self._unexpected()
 
     def _pose(self, place: int) -> Expression:
-        """Parse a pose of six numbers; with one number, it is an element of a variable named p."""
+        """Parse `p[...]`: a pose if there are six expressions, or an element of the variable p if there is one."""
         self._at += 1
         items = self._items("]")
         depth, has_calls = self._depth(place, items), _have_calls(items)
@@ -381,7 +383,7 @@ class _Parser:
         return PoseDisplay(place, depth, has_calls, items)
 
     def _number(self, place: int, text: str) -> float | int:
-        """Return an integer if it fits in 32 bits; otherwise a float (assumed)."""
+        """Return an integer if the text is a whole number of at most 32 bits; otherwise a float (assumed)."""
         if text.isdigit() and len(text) < 20:
             value: float | int = int(text)
         elif text[:2] in ("0x", "0X"):

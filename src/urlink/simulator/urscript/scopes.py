@@ -1,17 +1,19 @@
-"""Scopes of the names in a program, and its leaf functions.
+"""Scopes of the names in a program, and recognition of leaf functions.
 
-The manuals (cited from memory) define `global` and `local`. A name with neither refers to the global variable of that
-name if there is one, and otherwise is local to its function. The following is assumed:
+The manuals (cited from memory) define `global` and `local`. A name that is declared neither `global` nor `local` refers
+to the global variable with this name, if there is one. Otherwise it is local to its function. The following is assumed:
 
-- The program's own body assigns to global variables unless it uses `local`, so that nested functions and threads see
-  them.
-- The scope of a name applies to the whole text, whatever the order of execution.
-- A function does not see the local variables of the enclosing function.
-- A function is known in the enclosing function and in all functions nested there, even before its definition.
+- An assignment in the program itself, outside of nested functions, assigns to a global variable unless it uses `local`.
+  So nested functions and threads can use the variable.
+- The scope of a name is the same in the whole text, and does not depend on the order of execution.
+- A function cannot use the local variables of the enclosing function.
+- A function can be called in the enclosing function and in all functions that are nested there, even before its
+  definition.
 
-A leaf function only computes a value, such as a number limited to a range. It consists of conditions and return values,
-without calls, assignments or loops. So a call of a leaf function cannot delay other threads and always terminates. It
-is a part of its expression rather than an instruction with a frame to return to.
+A leaf function only computes a value, such as a number that is limited to a range. It consists of conditions and return
+values, without calls, assignments or loops. So a call of a leaf function always terminates, and cannot delay other
+threads. Such a call is compiled as a part of its expression, not as an instruction that enters a function and returns
+later.
 """
 
 from __future__ import annotations
@@ -45,12 +47,12 @@ from .syntax import (
 
 @dataclass
 class Names:
-    """Names in a function's own body, without the names in nested functions.
+    """Names that occur in the body of a function, without the names in nested functions.
 
     Attributes:
         local: Names that are declared `local`.
         global_: Names that are declared `global`.
-        free: Names that are assigned without a declaration. Assigning an element creates no variable.
+        free: Names that are assigned without a declaration. An assignment to an element creates no variable.
         definitions: Nested functions.
     """
 
@@ -61,7 +63,7 @@ class Names:
 
     @classmethod
     def of(cls, body: Block) -> Names:
-        """Return the names of a function with this body. Each statement is visited once."""
+        """Return the names in the body of a function. Each statement is visited once."""
         names = cls()
         blocks = [body]
         while blocks:
@@ -85,12 +87,15 @@ class Names:
         return names
 
 
-#: Functions and threads that are known in a scope. The innermost scope comes first.
+#: Functions and threads that can be used in a scope. The innermost scope comes first.
 Functions = ChainMap[str, tuple[Definition, Code]]
 
 
 def global_names(body: Block) -> list[str]:
-    """Return the global variables of a program; those of its own body come first."""
+    """Return the names of a program's global variables.
+
+    Names that the program itself assigns come before names in nested functions.
+    """
     names = Names.of(body)
     found = dict.fromkeys(sorted(names.free.keys() - names.local.keys()))
     found |= names.global_
@@ -102,12 +107,12 @@ def global_names(body: Block) -> list[str]:
     return list(found)
 
 
-#: Maximum number of parts of a leaf function, so that a call is as cheap as a long expression.
+#: Maximum number of parts of a leaf function. It ensures that a call costs no more than a long expression.
 _LARGEST = 64
 
 
 def leaf_size(definition: Definition, names: Container[str]) -> int:
-    """Return the number of parts of a leaf function; 0 for any other function.
+    """Return the number of parts of a leaf function; 0 if the function is not a leaf function.
 
     Args:
         definition: Definition of the function.

@@ -1,13 +1,15 @@
-"""Interpreter mode: statements from clients for a waiting program, and their status.
+"""Interpreter mode: statements that clients send to a waiting program, and the status of the statements.
 
-The main thread calls `interpreter_mode()` and stays there. Statements are compiled into the scope of the function that
-called it. They see its variables and functions, and variables that earlier statements assigned. They run one after the
-other, each to its end. Source: docs/protocols/urscript.md, section Interpreter mode. The following is assumed:
+The main thread calls `interpreter_mode()` and waits there. Statements are compiled into the scope of the function that
+called `interpreter_mode()`. They can use the variables and functions of this function, and variables to which earlier
+statements have assigned. The statements run one after the other; each is executed to its end. The source is
+docs/protocols/urscript.md, section Interpreter mode. The following is assumed:
 
-- Statement numbers begin with 1 in each program, and discarded statements count. Outside of the mode they are 0.
-- `MOST` statements are kept until they are cleared. Further statements are discarded, and so are statements longer than
-  `LONGEST`.
-- `clear_interpreter()` clears the statements that have begun, and keeps their definitions.
+- Statement numbers begin with 1 in each program, and discarded statements are counted. Outside of interpreter mode, the
+  number is 0.
+- At most `MOST` statements are kept until they are cleared. Further statements are discarded. Statements that are
+  longer than `LONGEST` are discarded too.
+- `clear_interpreter()` clears the statements that have begun, but keeps variables and functions that they have defined.
 - `abort` ends every kind of motion that a program waits for.
 """
 
@@ -26,10 +28,10 @@ LONGEST = 1 << 13
 
 
 class StatementReply(NamedTuple):
-    """Reply to a client.
+    """Reply to a client in interpreter mode.
 
     Attributes:
-        word: One of ack, discard and state.
+        word: First word of the reply: ack, discard or state.
         number: Number of the statement, or the queried value.
     """
 
@@ -41,13 +43,13 @@ S = TypeVar("S")
 
 
 class StatementQueue(Generic[S]):
-    """Compiled statements of one program, in the order of arrival.
+    """Queue of the compiled statements of one program, in the order of arrival.
 
     Attributes:
         is_on: Whether the program is in interpreter mode.
-        last_interpreted, last_executed, last_cleared: Highest number of an accepted, a begun and a cleared statement; 0
-            for none.
-        aborts: Function that ends the motion that the program waits for.
+        last_interpreted, last_executed, last_cleared: Highest numbers of an accepted, a begun and a cleared statement;
+            0 if there is no such statement.
+        aborts: Function that ends the motion for which the program waits.
     """
 
     def __init__(self) -> None:
@@ -63,7 +65,7 @@ class StatementQueue(Generic[S]):
     # -- for the program -------------------------------------------------------------------------------
 
     def enter(self, compile_: Callable[[str], S], clear_on_enter: bool, clear_on_end: bool) -> None:
-        """Begin the mode. `compile_` compiles a statement, or raises `ProgramError`."""
+        """Begin interpreter mode. `compile_` compiles a statement, or raises `ProgramError`."""
         self._compile = compile_
         if clear_on_enter:
             self._forget_waiting()
@@ -71,14 +73,14 @@ class StatementQueue(Generic[S]):
         self.is_on = True
 
     def leave(self) -> None:
-        """End the mode."""
+        """End interpreter mode."""
         self.is_on = False
         if self._clears_on_end:
             self._forget_waiting()
             self.clear()
 
     def take(self) -> S | None:
-        """Begin and return the next statement; None if none is queued."""
+        """Remove and return the next statement, which then counts as begun; None if no statement is queued."""
         if not self._waiting:
             return None
         self.last_executed, statement = self._waiting.popleft()
@@ -96,7 +98,7 @@ class StatementQueue(Generic[S]):
     # -- for clients -----------------------------------------------------------------------------------
 
     def put(self, text: str) -> StatementReply:
-        """Compile and queue a statement."""
+        """Compile and queue a statement, and return the reply to the client."""
         if not self.is_on or self._compile is None:
             return StatementReply("discard", 0)
         self._numbers += 1

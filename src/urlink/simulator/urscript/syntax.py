@@ -1,4 +1,4 @@
-"""The syntax tree of a program: expressions and statements, each with its place in the text."""
+"""Syntax tree of a program, which consists of expressions and statements. Each has its place in the text."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Scope = Literal["global", "local", "free"]
 
 @dataclass(slots=True)
 class Node:
-    """A part of a program.
+    """Part of a program.
 
     Attributes:
         place: Character offset in the text. For an operation, it is the offset of the operator.
@@ -22,10 +22,10 @@ class Node:
 
 @dataclass(slots=True)
 class Expression(Node):
-    """An expression.
+    """Expression.
 
     Attributes:
-        depth: Nesting depth; 1 without subexpressions.
+        depth: Nesting depth; 1 if there are no subexpressions.
         has_calls: Whether the expression contains a call.
     """
 
@@ -35,35 +35,35 @@ class Expression(Node):
 
 @dataclass(slots=True)
 class Constant(Expression):
-    """A number, string or truth value."""
+    """Constant: a number, a string or a truth value."""
 
     value: float | int | bool | str
 
 
 @dataclass(slots=True)
 class Name(Expression):
-    """The value of a variable."""
+    """Value of a variable."""
 
     name: str
 
 
 @dataclass(slots=True)
 class ListDisplay(Expression):
-    """`[a, b]`"""
+    """List: `[a, b]`."""
 
     items: list[Expression]
 
 
 @dataclass(slots=True)
 class PoseDisplay(Expression):
-    """`p[a, b, c, d, e, f]`"""
+    """Pose: `p[a, b, c, d, e, f]`."""
 
     items: list[Expression]
 
 
 @dataclass(slots=True)
 class Index(Expression):
-    """`base[index]`"""
+    """Element of a value: `base[index]`."""
 
     base: Expression
     index: Expression
@@ -71,7 +71,7 @@ class Index(Expression):
 
 @dataclass(slots=True)
 class Member(Expression):
-    """`base.name` of a struct"""
+    """Member of a struct: `base.name`."""
 
     base: Expression
     name: str
@@ -79,7 +79,7 @@ class Member(Expression):
 
 @dataclass(slots=True)
 class Unary(Expression):
-    """`-a` or `not a`"""
+    """Operation with one operand: `-a`, `+a` or `not a`."""
 
     operator: str
     operand: Expression
@@ -87,7 +87,7 @@ class Unary(Expression):
 
 @dataclass(slots=True)
 class Binary(Expression):
-    """Arithmetic, comparison, and `and`, `or`, `xor`."""
+    """Operation with two operands: arithmetic, comparison, `and`, `or`, or `xor`."""
 
     operator: str
     left: Expression
@@ -96,7 +96,7 @@ class Binary(Expression):
 
 @dataclass(slots=True)
 class Call(Expression):
-    """`f(a, b=c)`, or `run f(a)`, whose value is the handle of a thread."""
+    """Call of a function: `f(a, b=c)`; or `run f(a)`, which starts a thread and returns its handle."""
 
     name: str
     arguments: list[Expression]
@@ -106,7 +106,7 @@ class Call(Expression):
 
 @dataclass(slots=True)
 class MethodCall(Expression):
-    """`handle.name(a)`"""
+    """Call of a remote method: `handle.name(a)`."""
 
     base: Expression
     name: str
@@ -115,7 +115,7 @@ class MethodCall(Expression):
 
 @dataclass(slots=True)
 class Statement(Node):
-    """A statement."""
+    """Statement."""
 
 
 Block = list[Statement]
@@ -123,7 +123,7 @@ Block = list[Statement]
 
 @dataclass(slots=True)
 class Declare(Statement):
-    """`global a` or `local a`, without a value."""
+    """Declaration without a value: `global a` or `local a`."""
 
     name: str
     scope: Scope
@@ -131,7 +131,10 @@ class Declare(Statement):
 
 @dataclass(slots=True)
 class Assign(Statement):
-    """`a = value`, `local a = value`, or `a[i].b = value`; a member's name is a constant `MemberName`."""
+    """Assignment: `a = value`, `local a = value`, or `a[i].b = value`.
+
+    The name of a member is a constant of type `MemberName`.
+    """
 
     name: str
     scope: Scope
@@ -141,14 +144,14 @@ class Assign(Statement):
 
 @dataclass(slots=True)
 class Evaluate(Statement):
-    """An expression as a statement: a call, or `enter_critical`."""
+    """Expression that is used as a statement, such as a call, or `enter_critical`."""
 
     value: Expression
 
 
 @dataclass(slots=True)
 class If(Statement):
-    """`if`, every `elif`, and `else`, which may be empty."""
+    """`if` statement with all its `elif` branches and the `else` branch, which may be empty."""
 
     branches: list[tuple[Expression, Block]]
     otherwise: Block
@@ -156,7 +159,7 @@ class If(Statement):
 
 @dataclass(slots=True)
 class While(Statement):
-    """`while`"""
+    """`while` loop."""
 
     condition: Expression
     body: Block
@@ -164,45 +167,45 @@ class While(Statement):
 
 @dataclass(slots=True)
 class Return(Statement):
-    """`return`, with a value or without."""
+    """`return`, with or without a value."""
 
     value: Expression | None
 
 
 @dataclass(slots=True)
 class Break(Statement):
-    """`break`"""
+    """`break` statement."""
 
 
 @dataclass(slots=True)
 class Continue(Statement):
-    """`continue`"""
+    """`continue` statement."""
 
 
 @dataclass(slots=True)
 class Halt(Statement):
-    """`halt`"""
+    """`halt` statement."""
 
 
 @dataclass(slots=True)
 class Kill(Statement):
-    """`kill handle`"""
+    """`kill handle`, which ends a thread."""
 
     handle: Expression
 
 
 @dataclass(slots=True)
 class Join(Statement):
-    """`join handle`"""
+    """`join handle`, which waits until a thread has ended."""
 
     handle: Expression
 
 
 @dataclass(slots=True)
 class NodeLabel(Statement):
-    """`$ 3 "home" "breakAfter"`: the beginning of a program node of PolyScope.
+    """Beginning of a program node of PolyScope: `$ 3 "home" "breakAfter"`.
 
-    It is a target of `jump_to_label`.
+    `jump_to_label` can jump to a node.
     """
 
     number: int
@@ -211,7 +214,7 @@ class NodeLabel(Statement):
 
 @dataclass(slots=True)
 class FunctionParameter(Node):
-    """A parameter of a function; `default` is None without a default."""
+    """Parameter of a function; `default` is None if there is no default value."""
 
     name: str
     default: Expression | None
@@ -219,7 +222,7 @@ class FunctionParameter(Node):
 
 @dataclass(slots=True)
 class Definition(Statement):
-    """`def`, `sec` or `thread`."""
+    """Definition of a function, a program or a thread: `def`, `sec` or `thread`."""
 
     kind: Literal["def", "sec", "thread"]
     name: str
@@ -228,7 +231,7 @@ class Definition(Statement):
 
 
 def parts_of(node: Expression) -> Sequence[Expression]:
-    """Return the direct subexpressions."""
+    """Return the direct subexpressions of an expression."""
     match node:
         case ListDisplay() | PoseDisplay():
             return node.items

@@ -1,11 +1,11 @@
-"""Split a program into tokens with their places.
+"""Lexer, which splits the text of a program into tokens and records their places in the text.
 
-One regular expression matches every token, with the blanks and comments before it. Line ends are ordinary white space.
-In public programs that run on real controllers, two statements share a line, and an expression continues on the next
-line after `=`.
+One regular expression matches every token, together with the blanks and comments before the token. Line ends are
+ordinary white space, because public programs that run on real controllers need this: two statements are on one line, or
+an expression continues on the next line after `=`.
 
-The work is linear in the text. Each character is examined once, because some alternative always matches, at worst
-`unknown`.
+The work is proportional to the length of the text. Each character is examined once, because one alternative of the
+expression always matches; the last alternative is `unknown`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from bisect import bisect_right
 
 from .errors import MAX_TEXT, MAX_TOKENS, ProgramError
 
-#: Kinds of tokens. The first three are groups of `_TOKEN`; a keyword or mark is its own kind.
+#: Kinds of tokens. The first three are names of groups in `_TOKEN`. The kind of a keyword or of a punctuation mark is
+#: its own text.
 NUMBER, NAME, STRING, END = "number", "name", "string", "end of text"
 
 _STATEMENTS = {"def", "sec", "thread", "end", "if", "elif", "else", "while", "return", "break", "continue", "pass"}
@@ -23,7 +24,7 @@ _SIMPLE = {"halt", "global", "local", "run", "kill", "join"}
 _IN_EXPRESSIONS = {"and", "or", "xor", "not", "True", "False", "true", "false"}
 KEYWORDS = frozenset(_STATEMENTS | _SIMPLE | _IN_EXPRESSIONS)
 
-# Hexadecimal numbers are assumed.
+# It is assumed that hexadecimal numbers are allowed.
 _TOKEN = re.compile(
     r"""
     \s* (?: \#[^\n]* \s* )*
@@ -41,7 +42,7 @@ _TOKEN = re.compile(
 
 
 class SourceText:
-    """Text of a program, which adds line and column to errors.
+    """Text of a program, with methods that make errors with line and column.
 
     Attributes:
         text: Text of the program.
@@ -57,18 +58,18 @@ class SourceText:
             raise ProgramError(1, 1, f"program_too_long:{len(text)}:")
 
     def line_and_column(self, place: int) -> tuple[int, int]:
-        """Return line and column of a place, counted from 1."""
+        """Return the line and the column of a place, counted from 1."""
         if self._line_starts is None:
             self._line_starts = [0, *(match.end() for match in re.finditer("\n", self.text))]
         line = bisect_right(self._line_starts, place)
         return line, place - self._line_starts[line - 1] + 1
 
     def failure(self, place: int, text: str) -> ProgramError:
-        """Return an error at a place, with this text."""
+        """Return an error with this message for a place in the text."""
         return ProgramError(*self.line_and_column(place), text)
 
     def syntax_error(self, place: int) -> ProgramError:
-        """Return a syntax error at a place; it quotes the line."""
+        """Return a syntax error for a place in the text. The error quotes the line."""
         line, _ = self.line_and_column(place)
         begin = self.text.rfind("\n", 0, place) + 1
         end = self.text.find("\n", place)
@@ -82,7 +83,7 @@ def tokens_of(source: SourceText) -> tuple[list[str], list[str], list[int]]:
     The kind of the last token is `END`.
 
     Raises:
-        ProgramError: If there is an unknown character, or too many tokens.
+        ProgramError: If there is an unknown character, or if there are too many tokens.
     """
     kinds: list[str] = []
     texts: list[str] = []

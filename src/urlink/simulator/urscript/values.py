@@ -1,21 +1,23 @@
-"""Values of variables, and the operators on them.
+"""Values of variables, and the operators for these values.
 
-A value is a Python number, truth value or string, a tuple for a list, a `PoseValue`, a `Struct`, or a handle. All
-values are immutable, so passing a value needs no copy, and no list is shared. Assigning an element makes a new value.
+A value is a Python number, a truth value, a string, a tuple (for a list), a `PoseValue`, a `Struct`, or a handle. All
+values are immutable, so a value can be passed without a copy. An assignment to an element makes a new list.
 
-Three facts are known. A number is also a condition: a driver's program has `if has_qnear:` with a quotient, which is
-true unless it is zero. Numbers are printed with six digits as by `%g`, and the elements of a list or pose without
-spaces (a log of 5.x). Controllers of 5.9 to 5.14 refuse to assign a list of another length to a variable ("Resizing of
-'List' is not supported", by a project's tests); this is not checked here. The following is assumed:
+Three facts are known. A number can be a condition, which is true unless the number is zero: the program of a driver
+contains `if has_qnear:`, and the variable is a quotient. A log of 5.x shows that numbers are printed with six digits,
+like `%g` in C, and that there are no spaces between the elements of a list or pose. The tests of a public project show
+that firmware 5.9 to 5.14 refuses to assign a list of another length to a variable ("Resizing of 'List' is not
+supported"); the simulator does not check this. The following is assumed:
 
-- `/` always gives a float and does not truncate. Drivers divide integers from a socket by a million and get fractions.
-- `%` has the sign of its left operand, as in C.
-- An integer beyond 32 bits, and a result that is not finite, are errors.
+- The result of `/` is always a float and is not truncated. Drivers divide integers from a socket by a million and use
+  the fraction.
+- The result of `%` has the sign of the left operand, as in C.
+- An integer result that exceeds 32 bits is an error. A result that is not finite is an error too.
 - Truth values are not numbers.
-- Values of different types are unequal, but an integer equals the same float.
-- Arithmetic on lists is element-wise, even if one operand is a number. Poses have no arithmetic. For lists of lists,
-  see `matrices`.
-- Assignment copies a struct, like a list. No members can be added to it.
+- Values of different types are not equal, but an integer and a float are equal if their numbers are equal.
+- Arithmetic with lists works element by element, even if one operand is a number. Arithmetic with poses is not
+  supported. For lists of lists, see `matrices`.
+- An assignment copies a struct, as it copies a list. No members can be added to a struct.
 """
 
 from __future__ import annotations
@@ -29,20 +31,20 @@ from typing import Any
 from .errors import MAX_ELEMENTS, MAX_INTEGER, MAX_STRUCTS, MIN_INTEGER, Fault, type_error
 
 NUMBERS: frozenset[Any] = frozenset({int, float})
-#: Function that is called with the number of elements made.
+#: Function that is called with the number of elements that were made.
 Charge = Callable[[int], None]
-#: Maximum number of characters before the last part of the name of a remote method.
+#: Maximum number of characters in the name of a remote method before its last part.
 _LONGEST_PREFIX = 255
 
 
 class PoseValue(tuple[float, ...]):
-    """Six numbers: x, y, z in m and a rotation vector in rad."""
+    """Pose of six numbers: x, y, z in m and a rotation vector in rad."""
 
     __slots__ = ()
 
 
 class Struct:
-    """Named members, made by `struct(a=1, b=2)`; immutable.
+    """Immutable struct with named members, made by `struct(a=1, b=2)`.
 
     Attributes:
         members: Name -> value.
@@ -59,9 +61,10 @@ class Struct:
 
 
 class RpcHandle:
-    """Result of `rpc_factory`: the address of the server of its methods.
+    """Result of `rpc_factory`: handle for the methods of an XML-RPC server.
 
-    `handle.server` is the same handle with the prefix "server.", so `handle.server.f(x)` calls the method "server.f".
+    `handle.server` is a handle for the same server with the prefix "server.", so `handle.server.f(x)` calls the method
+    "server.f".
     """
 
     __slots__ = ("host", "path", "port", "prefix", "url")
@@ -74,7 +77,7 @@ class RpcHandle:
         self.prefix = prefix
 
     def within(self, name: str) -> RpcHandle:
-        """Return a handle for the methods whose names begin with `name.`, after the current prefix."""
+        """Return a handle with `name.` added to the prefix of method names."""
         prefix = f"{self.prefix}{name}."
         if len(prefix) > _LONGEST_PREFIX:
             raise Fault(f"the name of a remote method is longer than {_LONGEST_PREFIX} characters")
@@ -82,9 +85,9 @@ class RpcHandle:
 
 
 class MemberName(str):
-    """Name of a struct's member among the indices of an assignment.
+    """Name of a struct member in the indices of an assignment.
 
-    A plain string is not an index.
+    The special type is needed because a plain string is not a valid index.
     """
 
     __slots__ = ()
@@ -96,7 +99,7 @@ class Unset:
 
 UNSET = Unset()
 
-#: Values that hold elements or characters. A list or pose is a tuple of its own class.
+#: Classes of values that contain elements or characters.
 _HEAVY: frozenset[Any] = frozenset({tuple, PoseValue, str, Struct})
 
 _NAMES = {
@@ -113,12 +116,12 @@ _NAMES = {
 
 
 def type_name(value: object) -> str:
-    """Return the name of the type of a value, for messages."""
+    """Return the name of the type of a value, for error messages."""
     return _NAMES.get(type(value), "thread handle")
 
 
 def to_str(value: object) -> str:
-    """Return the text of a value in `textmsg` and `to_str`."""
+    """Return the text of a value, as `textmsg` and `to_str` show it."""
     if isinstance(value, (str, int)):
         return str(value)
     if isinstance(value, float):
@@ -146,7 +149,7 @@ def weight(value: Any) -> int:
 
 
 def list_of(items: Sequence[Any], charge: Charge) -> tuple[Any, ...]:
-    """Return a list of at most `MAX_ELEMENTS`, including inner lists.
+    """Return a list of at most `MAX_ELEMENTS` elements, including the elements of inner lists.
 
     It is assumed that inner lists cannot contain lists.
     """
@@ -155,7 +158,7 @@ def list_of(items: Sequence[Any], charge: Charge) -> tuple[Any, ...]:
     for item in made if not NUMBERS.issuperset(map(type, made)) else ():
         if item.__class__ is tuple:
             if any(inner.__class__ is tuple for inner in item):
-                raise type_error("the lists in a list cannot hold lists")
+                raise type_error("lists can be nested only once; the lists in a list cannot contain lists")
             total += weight(item)
         elif item.__class__ in _HEAVY:
             total += weight(item)
@@ -168,7 +171,7 @@ def list_of(items: Sequence[Any], charge: Charge) -> tuple[Any, ...]:
 
 
 def struct_of(members: Mapping[str, Any], charge: Charge) -> Struct:
-    """Return a struct, no larger than a list and no deeper than `MAX_STRUCTS`."""
+    """Return a struct, after checking its size (like that of a list) and its nesting depth (`MAX_STRUCTS`)."""
     if None in members.values():
         raise type_error("a struct cannot contain none")
     made = Struct(members)
@@ -181,7 +184,7 @@ def struct_of(members: Mapping[str, Any], charge: Charge) -> Struct:
 
 
 def checked(value: float | int) -> float | int:
-    """Return the number if it is finite and, as an integer, within 32 bits; else raise a fault."""
+    """Return a number; raise a fault if it is not finite, or is an integer that exceeds 32 bits."""
     if isinstance(value, int):
         if not MIN_INTEGER <= value <= MAX_INTEGER:
             raise Fault("Integer overflow")
@@ -194,7 +197,7 @@ def checked(value: float | int) -> float | int:
 
 
 def signed(factor: int, a: Any) -> Any:
-    """Return `-a` or `+a` of a number; the factor is -1 or 1."""
+    """Return `factor * a` for a number `a`; the factor is -1 or 1."""
     if a.__class__ not in NUMBERS:
         raise type_error(f"{'-' if factor < 0 else '+'} {type_name(a)}")
     return checked(factor * a)
@@ -230,7 +233,7 @@ def _arithmetic(function: Callable[[Any, Any], Any], sign: str, a: Any, b: Any, 
     return _number(function, sign, a, b)
 
 
-#: `a + b` and similar operations on two values. The third argument counts the elements made.
+#: Operations such as `a + b` on two values. The third argument is a function that counts new elements.
 add = partial(_arithmetic, operator.add, "+")
 subtract = partial(_arithmetic, operator.sub, "-")
 multiply = partial(_arithmetic, operator.mul, "*")
@@ -242,7 +245,7 @@ modulo = partial(_arithmetic, _remainder, "%")
 
 
 def equal(a: Any, b: Any, charge: Charge) -> bool:
-    """`a == b`"""
+    """Return whether `a == b`."""
     if a.__class__ in NUMBERS and b.__class__ in NUMBERS:
         return bool(a == b)
     if a.__class__ is not b.__class__:
@@ -263,7 +266,7 @@ def equal(a: Any, b: Any, charge: Charge) -> bool:
 
 
 def compare(sign: str, a: Any, b: Any) -> bool:
-    """Return the result of `<`, `<=`, `>` or `>=`, for numbers only."""
+    """Return the result of `<`, `<=`, `>` or `>=`. Only numbers can be compared."""
     if a.__class__ not in NUMBERS or b.__class__ not in NUMBERS:
         raise type_error(f"{type_name(a)} {sign} {type_name(b)}")
     return bool({"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}[sign](a, b))
@@ -281,7 +284,7 @@ def truth(value: Any) -> bool:
 
 def _place(value: Any, index: Any) -> int:
     if value.__class__ is not tuple and value.__class__ is not PoseValue:
-        raise type_error(f"{type_name(value)} has no elements")
+        raise type_error(f"a value of type {type_name(value)} has no elements")
     if index.__class__ is float and index.is_integer():
         index = int(index)
     if index.__class__ is not int:
@@ -292,12 +295,12 @@ def _place(value: Any, index: Any) -> int:
 
 
 def element(value: Any, index: Any) -> Any:
-    """Return `value[index]`. A float can be an index if it is whole (assumed)."""
+    """Return `value[index]`. A float is a valid index if it is a whole number (assumed)."""
     return value[_place(value, index)]
 
 
 def member(value: Any, name: str) -> Any:
-    """`value.name`"""
+    """Return `value.name`."""
     if isinstance(value, RpcHandle):
         return value.within(name)
     return _struct_member(value, name)
@@ -310,7 +313,10 @@ def _struct_member(value: Any, name: str) -> Any:
 
 
 def replaced(value: Any, indices: Sequence[Any], new: Any, charge: Charge) -> Any:
-    """Return `value` after `value[i][j] = new`; a `MemberName` among the indices names a member."""
+    """Return a copy of `value` in which the value at the indices is `new`.
+
+    `[i, j]` as indices stand for `value[i][j] = new`. A `MemberName` in the indices selects a member.
+    """
     if indices[0].__class__ is MemberName:
         old = _struct_member(value, indices[0])
         changed = new if len(indices) == 1 else replaced(old, indices[1:], new, charge)
@@ -319,13 +325,13 @@ def replaced(value: Any, indices: Sequence[Any], new: Any, charge: Charge) -> An
     if len(indices) > 1:
         new = replaced(value[index], indices[1:], new, charge)
     elif value.__class__ is PoseValue and new.__class__ not in NUMBERS:
-        raise type_error(f"{type_name(new)} in a pose")
+        raise type_error(f"a pose cannot contain a value of type {type_name(new)}")
     items = list(value)
     items[index] = new
     if value.__class__ is PoseValue:
         return PoseValue(items)
     if new.__class__ in NUMBERS or new.__class__ is bool:
-        # The length is unchanged.
+        # The length is the same, so only long lists are counted as work.
         if len(items) > 32:
             charge(len(items) // 32)
         return tuple(items)

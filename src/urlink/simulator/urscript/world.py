@@ -1,6 +1,6 @@
-"""Protocols of the controller, as its programs use it.
+"""Protocols that define how a program uses the controller.
 
-Sequences are read-only. A caller that keeps a sequence must copy it.
+Programs must not change sequences of the controller. A caller that stores a sequence must copy it.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from ..robot.signals import ModbusSignals, Signals
 
 
 class BegunMove(Protocol):
-    """A motion that has begun."""
+    """Motion that has begun."""
 
     @property
     def is_over(self) -> bool:
-        """Whether the function that began it returns: the goal, or its blend zone, is reached."""
+        """Whether the function that began the motion returns now, because the goal or its blend zone is reached."""
 
 
 class MotionCommands(Protocol):
-    """Commands that move the arm. Each begins a motion and returns immediately."""
+    """Commands that move the arm. Each method begins a motion and returns immediately."""
 
     @property
     def is_standing(self) -> bool:
@@ -45,7 +45,7 @@ class MotionCommands(Protocol):
         """Move to a pose, along a straight line."""
 
     def optimovel(self, pose: Sequence[float], a: float, v: float, r: float) -> BegunMove:
-        """Move to a pose, along a straight line, within the limits of the joints."""
+        """Move to a pose along a straight line, with a speed at which no joint exceeds its limits."""
 
     def movep(self, pose: Sequence[float], a: float, v: float, r: float) -> BegunMove:
         """Move to a pose at constant speed."""
@@ -54,10 +54,10 @@ class MotionCommands(Protocol):
         """Move to a pose along a circle."""
 
     def servoj(self, q: Sequence[float], t: float, lookahead_time: float, gain: float) -> BegunMove:
-        """Follow a set-point of the joints."""
+        """Move to a set-point of the joints, as one of a sequence of set-points."""
 
     def servoc(self, pose: Sequence[float], a: float, v: float, r: float) -> BegunMove:
-        """Follow a pose."""
+        """Move to a pose."""
 
     def speedj(self, qd: Sequence[float], a: float, t: float | None) -> BegunMove:
         """Move the joints at a speed."""
@@ -77,7 +77,7 @@ class MotionCommands(Protocol):
         """Move the joints by torques for one cycle."""
 
     def release(self) -> None:
-        """End the commands: the arm brakes."""
+        """End the current command, and let the arm brake."""
 
 
 class ScriptSockets(Protocol):
@@ -93,9 +93,9 @@ class ScriptSockets(Protocol):
         """Send data; return False if the socket is not open."""
 
     def received(self, name: str) -> bytearray:
-        """Return the bytes that were received and not removed.
+        """Return the buffer of received bytes.
 
-        The caller deletes the bytes that it uses.
+        The caller deletes the bytes that it has used from this buffer.
         """
 
     def close(self, name: str) -> None:
@@ -106,7 +106,7 @@ class ScriptSockets(Protocol):
 
 
 class ScriptWorld(Protocol):
-    """The controller, as its programs use it.
+    """Controller, as a program uses it.
 
     Attributes:
         period: Duration of a controller cycle, in s.
@@ -115,9 +115,9 @@ class ScriptWorld(Protocol):
         pose_actual, pose_target: Pose of the TCP in the base frame, in m and rad.
         speed_actual, speed_target: Speed of the TCP, in m/s and rad/s.
         force: Wrench at the TCP, in N and Nm.
-        dynamics: Dynamics of the arm with its rotors and its payload.
+        dynamics: Dynamics of the arm with rotors and payload.
         motors: Motors of the arm.
-        torques: Torques of the joints, in Nm.
+        torques: Joint torques of the target motion, in Nm.
         tcp: TCP in the flange frame, in m and rad.
         payload: Mass of the payload, in kg.
         payload_cog: Centre of mass of the payload in the flange frame, in m.
@@ -187,23 +187,23 @@ class ScriptWorld(Protocol):
         """
 
     def set_watchdog(self, variable: str, frequency: float, action: Action) -> None:
-        """Require this RTDE input `frequency` times per second; 0 ends the requirement.
+        """Set a watchdog: this RTDE input must arrive at least `frequency` times per second; 0 removes the watchdog.
 
         Raises:
             BadValue: If there is no such input.
         """
 
     def use_external_force(self, is_used: bool) -> None:
-        """Read the force at the TCP from the RTDE input `external_force_torque`, or from the sensor."""
+        """Select the source of the force at the TCP: the RTDE input `external_force_torque`, or the sensor."""
 
     def zero_force(self) -> None:
         """Make the current force at the TCP the new zero."""
 
     def contact_steps(self, direction: Sequence[float]) -> int:
-        """Return the cycles since the start of a contact that opposes a motion; 0 without one.
+        """Return the number of cycles since a contact that opposes a motion began; 0 if there is no contact.
 
         Args:
-            direction: Direction of the motion in the base frame, shape (3,). Zeros stand for contacts in every
+            direction: Direction of the motion in the base frame, shape (3,). Three zeros select contacts from every
                 direction.
         """
 
@@ -212,7 +212,7 @@ class ScriptWorld(Protocol):
         """External torques on the joints, in Nm."""
 
     def force_mode(self, task: ForceTask) -> None:
-        """Begin force mode: yield along some axes until a force is reached."""
+        """Begin force mode, in which the arm yields along some axes until a force is reached."""
 
     def set_force_damping(self, damping: float) -> None:
         """Set the damping of force mode, 0 to 1."""
@@ -232,23 +232,23 @@ class ScriptWorld(Protocol):
     def set_payload(
         self, mass: float, cog: Sequence[float] | None, inertia: Sequence[float] | None, seconds: float = 0.0
     ) -> None:
-        """Set the payload, in kg, m and kg m², over a time in s.
+        """Set mass, centre of mass and inertia of the payload, in kg, m and kg m². The change takes `seconds`.
 
-        None keeps the value of the controller.
+        If an argument is None, the controller's current value is kept.
         """
 
     def set_gravity(self, vector: Sequence[float]) -> None:
-        """Set the acceleration of an arm at rest, in the base frame, in m/s²."""
+        """Set the gravity, in the base frame, in m/s². The vector points upwards."""
 
     def text_message(self, text: str) -> None:
-        """Send a text to the log and to all clients of the primary interface."""
+        """Send a text message to all clients of the primary interface."""
 
     def popup(self, text: str, title: str, is_warning: bool, is_error: bool, is_blocking: bool) -> None:
         """Show a popup on the pendant."""
 
     @property
     def has_popup(self) -> bool:
-        """Whether the pendant shows a popup that was not closed."""
+        """Whether the pendant shows a popup."""
 
     def protective_stop(self) -> None:
-        """Stop the arm. The program does not run until the stop is unlocked."""
+        """Make a protective stop. The program is paused until the stop is unlocked."""

@@ -132,7 +132,7 @@ def test_original_joints_are_among_the_solutions(arm: Arm, q: list[float]) -> No
 @pytest.mark.property
 @example(Arm("UR16e"), [0.0, 0.0, 3.25, -1.75, 0.0, 0.0], np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
 @given(arms, joints, tcps)
-def test_near_puts_the_continuation_first(arm: Arm, q: list[float], tcp: Array | None) -> None:
+def test_near_puts_the_closest_solution_first(arm: Arm, q: list[float], tcp: Array | None) -> None:
     there = arm.forward(q, tcp)
     found = arm.solutions(there, q, tcp)
     check_solutions(arm, found, tcp, there)
@@ -161,7 +161,7 @@ def test_ordinary_pose_has_eight_solutions(arm: Arm) -> None:
 
 @EVERY
 @pytest.mark.parametrize("q5", [0.0, math.pi, -math.pi, 1e-13])
-def test_singular_wrist_continues_from_near(arm: Arm, q5: float) -> None:
+def test_solution_of_singular_wrist_is_close_to_near(arm: Arm, q5: float) -> None:
     q = np.array([0.4, -1.2, 1.5, -0.9, q5, 0.7])
     there = arm.forward(q)
     free = arm.solutions(there)
@@ -177,7 +177,7 @@ def test_singular_wrist_continues_from_near(arm: Arm, q5: float) -> None:
 
 
 @EVERY
-def test_half_turn_is_returned_as_pi(arm: Arm) -> None:
+def test_solution_of_half_a_turn_is_plus_pi(arm: Arm) -> None:
     turn = math.pi
     found = arm.solutions(arm.forward([-turn, -turn, -turn, -turn, -turn / 2.0, 0.0]))
     assert (found == turn).any()
@@ -213,7 +213,7 @@ OUT_OF_REACH = [
 
 @EVERY
 @pytest.mark.parametrize(("there", "why"), OUT_OF_REACH)
-def test_out_of_reach_raises_for_one_pose_and_gives_nan_for_many(arm: Arm, there: list[float], why: str) -> None:
+def test_unreachable_pose_raises_alone_and_is_nan_among_many(arm: Arm, there: list[float], why: str) -> None:
     near = [0.1, -1.5, 1.5, -1.5, -1.5, 0.0]
     with pytest.raises(Unreachable, match=why) as failure:
         arm.inverse(there, near)
@@ -266,7 +266,7 @@ def test_inverse_stays_within_limits_despite_longer_turn() -> None:
     assert bool(arm.within_limits(q))
 
 
-def test_endless_joint_is_not_turned_back() -> None:
+def test_inverse_keeps_the_turns_of_an_endless_joint() -> None:
     arm = Arm("UR3e")
     q = np.array([0.0, -1.5, 1.5, -1.5, -1.5, 50.0])
     np.testing.assert_allclose(arm.inverse(arm.forward(q), q), q, atol=1e-9)
@@ -277,7 +277,7 @@ def test_endless_joint_is_not_turned_back() -> None:
 
 
 @EVERY
-def test_each_branch_keeps_index_along_path(arm: Arm) -> None:
+def test_branch_keeps_its_index_along_a_path(arm: Arm) -> None:
     begin, end = np.array([0.4, -1.4, 1.8, -1.2, 1.3, 0.2]), np.array([0.6, -1.3, 1.7, -1.1, 1.1, 0.5])
     path = arm.forward(begin + np.linspace(0.0, 1.0, 200)[:, None] * (end - begin))
     ways = arm.branches(path)
@@ -516,7 +516,7 @@ def test_inverse_matches_joints_reported_by_controller(captures: Path, name: str
 
 
 @pytest.mark.captures("ur")
-def test_oldest_package_does_not_report_tcp(captures: Path) -> None:
+def test_oldest_cartesian_package_contains_no_tcp(captures: Path) -> None:
     found = subpackages(captures / "cb2_old_state_465.bin")
     reported, tcp = cartesian(found)
     assert tcp is None

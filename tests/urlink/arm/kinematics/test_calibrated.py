@@ -78,7 +78,7 @@ def test_published_table_is_not_a_calibration(name: str) -> None:
     np.testing.assert_array_equal(arm.forward(q), Arm(name).forward(q))
 
 
-def test_table_of_other_arm_or_of_deviations_is_rejected() -> None:
+def test_dh_table_of_other_arm_or_of_deviations_is_rejected() -> None:
     with pytest.raises(BadValue, match=r"DH table of a UR10e: .* of link 2 is -0.42"):
         Arm.calibrated("UR10e", calibration(model("UR5e"), 0))
     whole, nominal = calibration(model("UR5e"), 0), published(model("UR5e"))
@@ -139,7 +139,7 @@ def test_any_pose_of_the_arm_is_found_again(of: Model, seed: int, q: list[float]
         assert missed(arm, way, there) < 1e-12
 
 
-def test_branches_are_exact_and_close_to_published_arm() -> None:
+def test_calibrated_branches_are_close_to_published_arm() -> None:
     arm, nominal = calibrated("UR10e", 4), Arm("UR10e")
     q = np.random.default_rng(12).uniform(-2.0, 2.0, (300, 6))
     there = arm.forward(q)
@@ -153,7 +153,7 @@ def test_branches_are_exact_and_close_to_published_arm() -> None:
     np.testing.assert_allclose(arm.branches(there[0]), ours[0], atol=1e-9)
 
 
-def test_refinement_takes_three_steps_to_full_precision(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_refinement_reaches_full_precision_in_three_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     arm = calibrated("UR5e", 5)
     rng = np.random.default_rng(14)
     q = rng.uniform(-3.0, 3.0, (200, 6))
@@ -178,7 +178,7 @@ def test_many_poses_give_the_same_as_one_by_one() -> None:
 
 
 @pytest.mark.parametrize("joint", range(6))
-def test_joint_half_a_turn_off_is_not_accepted(joint: int) -> None:
+def test_inverse_reaches_pose_when_near_is_half_a_turn_off(joint: int) -> None:
     # The sine of half a turn is as small as the sine of 0.
     arm = calibrated("UR5e", 1)
     there = arm.forward(READY)

@@ -243,7 +243,7 @@ def test_ended_command_does_not_move_the_arm_back(begin: str) -> None:
     assert generator.is_standing
 
 
-def test_violating_command_ends_when_the_arm_restarts() -> None:
+def test_command_over_a_limit_ends_when_the_arm_restarts() -> None:
     generator = standing()
     move = generator.servoj(moved(1, 0, 0, 0, 0, 0), CYCLE, 0.03, 300.0)
     for _ in range(3):
@@ -320,7 +320,7 @@ def begin(generator: MotionGenerator, name: str, six: list[float], a: float, v: 
     ]
 )
 @example([("speedj", [0.0, 0.0, 1.0, 0.0, 0.0, 0.0], 0.15625, 1.0, 0.0, 0), *2 * [("finish", REST, 1.0, 1.0, 0.0, 0)]])
-def test_any_commands_in_any_cycles_stay_smooth(
+def test_motion_stays_smooth_for_any_commands_in_any_cycle(
     sequence: list[tuple[str, list[float], float, float, float, int]],
 ) -> None:
     """Only the two refusals may be raised, and the speed must never jump by more than an arm could follow."""

@@ -13,14 +13,16 @@ lengths = st.floats(1e-3, 10.0)
 rates = st.floats(0.05, 50.0)
 
 
-def test_zero_length_takes_no_time() -> None:
+def test_profile_of_zero_length_takes_no_time() -> None:
     assert Trapezoid(0.0, 1.0, 1.0).duration == 0.0
     assert Trapezoid(0.0, 1.0, 1.0).at(0.0) == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.property
 @given(lengths, rates, rates, rates, st.floats(0.0, 1.0))
-def test_position_and_speed_agree(length: float, speed: float, fall: float, rise: float, part: float) -> None:
+def test_profile_speed_is_the_derivative_of_its_position(
+    length: float, speed: float, fall: float, rise: float, part: float
+) -> None:
     profile = Trapezoid(length, speed, fall, rise)
     time, step = part * profile.duration, 1e-6 * profile.duration
     way, now, acceleration = profile.at(time)

@@ -50,7 +50,7 @@ def test_arm_follows_a_wave_with_the_documented_lag(lookahead: float, gain: floa
     check_continuous(before, setpoints, UR5E.max_acceleration, cycle)
 
 
-def test_lag_of_common_driver_settings() -> None:
+def test_servoj_lag_of_common_driver_settings_is_as_documented() -> None:
     assert lag_of(0.008, 0.03, 300.0) == pytest.approx(0.0337, abs=1e-4)
     assert lag_of(0.008, 0.0, 0.0) == 0.008
 
@@ -84,7 +84,7 @@ def test_set_point_of_several_cycles_is_approached_evenly() -> None:
 
 
 @pytest.mark.parametrize(("by", "passes"), [(0.01, True), (0.3, False), (-0.3, False), (1.0, False)])
-def test_joint_jump_is_a_violation(by: float, passes: bool) -> None:
+def test_servoj_raises_limit_violation_for_a_joint_jump(by: float, passes: bool) -> None:
     generator = standing()
     generator.servoj([*HOME[:5], HOME[5] + by], CYCLE, 0.03, 300.0)
     before = generator.setpoint
@@ -92,12 +92,12 @@ def test_joint_jump_is_a_violation(by: float, passes: bool) -> None:
         to_rest(generator)
         return
     for _ in range(2):
-        with pytest.raises(LimitViolation, match=r"wrist 3: a jump of -?\d"):
+        with pytest.raises(LimitViolation, match=r"wrist 3: the servoj target is -?\d"):
             generator.advance(CYCLE)
         assert generator.setpoint == before
 
 
-def test_impossible_acceleration_is_a_violation() -> None:
+def test_servoj_raises_limit_violation_for_high_acceleration() -> None:
     """The step is within the distance that the largest speed allows, but starts at rest and without any smoothing."""
     generator = standing()
     generator.servoj([HOME[0] + 0.01, *HOME[1:]], CYCLE, 0.0, 0.0)
@@ -120,7 +120,7 @@ def ramp(generator: MotionGenerator, fastest: float) -> None:
         generator.advance(CYCLE)
 
 
-def test_excessive_speed_is_a_violation() -> None:
+def test_servoj_raises_limit_violation_for_excessive_speed() -> None:
     """A ramp 20 % above the largest joint speed must fail; a ramp 2 % above it passes as rounding."""
     for factor, passes in ((1.02, True), (1.2, False)):
         generator = standing()
@@ -128,7 +128,7 @@ def test_excessive_speed_is_a_violation() -> None:
             ramp(generator, factor * UR5E.max_speed[0])
 
 
-def test_position_out_of_range_is_a_violation() -> None:
+def test_servoj_raises_limit_violation_for_position_out_of_range() -> None:
     start = [6.28, *HOME[1:]]
     generator = standing(start)
     generator.servoj([6.2835, *HOME[1:]], CYCLE, 0.03, 300.0)

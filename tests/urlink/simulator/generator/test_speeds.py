@@ -130,7 +130,7 @@ def test_stopl_brakes_the_joints_where_its_line_ends() -> None:
     check_continuous(before, setpoints, 3.0 * UR5E.max_acceleration)
 
 
-def test_speedl_out_of_reach_is_a_violation() -> None:
+def test_speedl_out_of_reach_raises_limit_violation() -> None:
     generator = standing()
     generator.speedl([0.5, 0, 0, 0, 0, 0], 5.0, None, 5.0)
     with pytest.raises(LimitViolation):
@@ -150,7 +150,7 @@ def test_joint_that_leaves_its_range_may_return() -> None:
     assert generator.setpoint.q[0] < 6.2
 
 
-def test_speed_above_the_limit_is_a_violation() -> None:
+def test_speed_above_the_limit_raises_limit_violation() -> None:
     generator = standing()
     generator.speedj([0, 0, 0, 0, 0, 4.0], 10.0, None)
     with pytest.raises(LimitViolation, match="wrist 3: a speed of"):

@@ -125,7 +125,7 @@ def test_too_short_time_is_extended(way: tuple[float, ...], t: float) -> None:
     assert (np.abs(speeds(setpoints)) <= 1.03 * UR5E.max_speed).all()
 
 
-def test_line_through_an_unreachable_region_ends_there() -> None:
+def test_line_ends_where_it_enters_an_unreachable_region() -> None:
     """The line leads from one side of the base to the other, through the column that no arm can reach."""
     generator = with_tool()
     target = pose(HOME).tolist()
@@ -141,7 +141,7 @@ def test_line_through_an_unreachable_region_ends_there() -> None:
 
 
 @pytest.mark.parametrize("q", [[0.0, -math.pi / 2, 0.0, -math.pi / 2, 0.0, 0.0], [0.0] * 6])
-def test_line_out_of_a_singularity_moves_or_is_a_violation(q: list[float]) -> None:
+def test_line_from_a_singularity_moves_or_violates_a_limit(q: list[float]) -> None:
     generator = standing(q)
     down = Arm(UR5E).forward(q) - np.array([0, 0, 0.05, 0, 0, 0])
     before, setpoints = generator.setpoint, []
@@ -226,7 +226,7 @@ def test_optimovel_is_as_fast_as_the_joints_allow() -> None:
     assert 0.8 < tops.max() <= 1.02
 
 
-def test_points_on_a_line_define_no_circle() -> None:
+def test_movec_rejects_points_on_a_straight_line() -> None:
     generator = with_tool()
     middle, end = (shifted(np.array([d, 0, 0]), np.zeros(3)) for d in (0.05, 0.1))
     for via, to in ((middle, end), (middle, middle), (pose(HOME).tolist(), end), (middle, pose(HOME).tolist())):

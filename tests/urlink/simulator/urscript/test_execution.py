@@ -242,7 +242,7 @@ def test_error_in_an_inlined_function_has_its_line(text: str, statement: str, pl
     assert place in line
 
 
-def test_function_without_a_return_value() -> None:
+def test_function_without_return_value_cannot_be_used_in_a_list() -> None:
     assert run(f"{NOTHING}textmsg(nothing(1))\n").notes[0].endswith("textmsg one")
     execution = start(f"{NOTHING}x = [nothing(2)]\n", NotedWorld())
     execution.advance()
@@ -256,10 +256,10 @@ def test_function_without_a_return_value() -> None:
         ("textmsg(numbers[-1])", "Index out of range: -1 of 2"),
         ("numbers[-1] = 0", "Index out of range: -1 of 2"),
         ("at = -1\ntextmsg(numbers[at])", "Index out of range: -1 of 2"),
-        ('textmsg(box["size"])', "struct has no elements"),
-        ('box["size"] = 1', "struct has no elements"),
-        ('key = "size"\nbox[key] = 1', "struct has no elements"),
-        ('boxes = [box]\nboxes[0]["size"] = 1', "struct has no elements"),
+        ('textmsg(box["size"])', "a value of type struct has no elements"),
+        ('box["size"] = 1', "a value of type struct has no elements"),
+        ('key = "size"\nbox[key] = 1', "a value of type struct has no elements"),
+        ('boxes = [box]\nboxes[0]["size"] = 1', "a value of type struct has no elements"),
     ],
 )
 @pytest.mark.parametrize(

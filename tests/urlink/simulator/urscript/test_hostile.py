@@ -245,8 +245,8 @@ def test_long_elif_chain_and_long_list_are_not_nested() -> None:
         ("thread t():\n  sync()\nend\nwhile True:\n  run t()\nend", f"Too many threads: {MAX_THREADS}"),
         ("thread t():\n  run t()\n  run t()\n  sync()\nend\nrun t()\nsleep(9)", "Too many threads"),
         ("thread t():\n  run t()\nend\nrun t()\nsleep(9)", "Too many threads"),
-        ("x = [1]\nwhile True:\n  x = [x, x]\nend", "the lists in a list cannot hold lists"),
-        ("x = [1]\nx[0] = x\nx[0] = x", "the lists in a list cannot hold lists"),
+        ("x = [1]\nwhile True:\n  x = [x, x]\nend", "the lists in a list cannot contain lists"),
+        ("x = [1]\nx[0] = x\nx[0] = x", "the lists in a list cannot contain lists"),
         ("x = make_list(9000, 1)\ny = [x, x]", f"List too long: {2 * 9000 + 2}"),
         ("x = make_list(10001, 1)", f"expected 0 to {MAX_ELEMENTS}"),
         ("x = [0, 0, 0]\nx[0] = make_list(9000, 1)\nx[1] = make_list(9000, 1)", "List too long"),
@@ -271,7 +271,7 @@ def test_long_elif_chain_and_long_list_are_not_nested() -> None:
         ("kill [1]", "thread handle"),
     ],
 )
-def test_malicious_program_ends_with_an_error(text: str, message: str) -> None:
+def test_malicious_program_ends_with_a_compile_or_runtime_error(text: str, message: str) -> None:
     last = error_of(text)
     assert last.split()[1] == "error", last
     assert re.search(message, last), last
@@ -301,7 +301,7 @@ def test_memory_of_variables_is_bounded() -> None:
 
 
 @pytest.mark.slow
-def test_memory_of_frames_is_bounded() -> None:
+def test_memory_of_call_frames_is_bounded() -> None:
     text = f"def f(n):\n  local x = make_list({MAX_ELEMENTS - 1}, 1.5)\n  sync()\n  f(n)\n  textmsg(x)\nend\nf(1)"
     assert "error" in error_of(text, cycles=1000)
     lines = [f"local x{i} = make_list({MAX_ELEMENTS - 1}, {i})" for i in range(5)]

@@ -1,4 +1,4 @@
-"""Command `urlink accept`: a test of this library together with one controller, which stores the evidence.
+"""Test of one controller together with this library, for the command `urlink accept`. The evidence is stored.
 
     stages -> logbook -> bundle -> evidence -> verdicts -> report
 

@@ -1,8 +1,8 @@
 """Checks that compare interfaces: they must report the same quantities in the same cycle of the controller.
 
 Packets of the same cycle are recognised by noisy values that are equal to the last bit, because the clocks of two
-interfaces may start at different times. It is assumed that every controller sends the same bits on both interfaces; the
-test checks this.
+interfaces might have started at different times. It is assumed that every controller sends the same bits on both
+interfaces; the test checks this.
 """
 
 from __future__ import annotations
@@ -22,12 +22,13 @@ Column = NDArray[np.float64]
 
 
 class _Field(NamedTuple):
-    """One quantity: its names on the real-time interface and in RTDE, and its place in a robot state."""
+    """Names of one quantity on the real-time interface and in RTDE, and its place in a robot state."""
 
     realtime: str
     rtde: str
     primary: Callable[[Any], Any] | None = None
     is_float32: bool = False
+    is_exact: bool = False
 
 
 def _part(package: str, name: str) -> Callable[[Any], Any]:
@@ -67,16 +68,26 @@ _FIELDS = (
     _Field("elbow_velocity", "elbow_velocity"),
     _Field("linear_momentum_norm", "actual_momentum"),
     _Field("speed_scaling", "speed_scaling", _part("robot_mode_data", "speed_scaling")),
-    _Field("digital_input_bits", "actual_digital_input_bits", _part("masterboard_data", "digital_input_bits")),
-    _Field("digital_output_bits", "actual_digital_output_bits", _part("masterboard_data", "digital_output_bits")),
+    _Field(
+        "digital_input_bits",
+        "actual_digital_input_bits",
+        _part("masterboard_data", "digital_input_bits"),
+        is_exact=True,
+    ),
+    _Field(
+        "digital_output_bits",
+        "actual_digital_output_bits",
+        _part("masterboard_data", "digital_output_bits"),
+        is_exact=True,
+    ),
     _Field("payload_mass", "payload"),
     _Field("payload_cog", "payload_cog"),
     _Field("payload_inertia", "payload_inertia"),
-    _Field("robot_mode", "robot_mode", _part("robot_mode_data", "robot_mode")),
-    _Field("joint_modes", "joint_mode", _part("joint_data", "joint_modes")),
-    _Field("safety_mode", "safety_mode", _part("masterboard_data", "safety_mode")),
-    _Field("safety_status", "safety_status"),
-    _Field("program_state", "runtime_state"),
+    _Field("robot_mode", "robot_mode", _part("robot_mode_data", "robot_mode"), is_exact=True),
+    _Field("joint_modes", "joint_mode", _part("joint_data", "joint_modes"), is_exact=True),
+    _Field("safety_mode", "safety_mode", _part("masterboard_data", "safety_mode"), is_exact=True),
+    _Field("safety_status", "safety_status", is_exact=True),
+    _Field("program_state", "runtime_state", is_exact=True),
 )
 
 #: RTDE variables that are requested while listening to a controller.
@@ -84,9 +95,10 @@ RTDE_NAMES = ("timestamp", *(each.rtde for each in _FIELDS), "target_speed_fract
 
 #: Noisy values that identify packets of the same cycle.
 _KEYS = ("q_actual", "I_actual", "qd_actual", "tcp_force", "motor_temperatures", "tool_vector_actual")
-#: Minimum number of pairs for a match to be accepted.
+#: Minimum number of pairs with which a match is accepted.
 _FEWEST = 8
-#: Relative differences by rounding, for 64 and for 32 bits; and the fraction of packets that may differ.
+#: Largest relative differences because of rounding, for numbers of 64 and of 32 bits; and the fraction of packets that
+#: may differ.
 _ROUNDING, _ROUNDING_32, _SOME = 1e-6, 1e-5, 0.02
 
 
@@ -96,7 +108,8 @@ class _Joined(NamedTuple):
     Attributes:
         own: Indices on the real-time interface, shape (n,).
         other: Indices on the other interface, shape (n,).
-        offset: Lead of the clock of the other interface, in s; None if no values show it.
+        offset: Time by which the clock of the other interface is ahead, in s; None if it cannot be found from the
+            values.
     """
 
     own: NDArray[np.intp]
@@ -106,7 +119,7 @@ class _Joined(NamedTuple):
 
 def _column(evidence: Evidence, which: str, each: _Field) -> Column | None:
     name = each.rtde if which == "rtde" else each.realtime
-    read = each.primary if which == "primary" else lambda state: getattr(state, name, None)
+    read = each.primary if which in ("primary", "secondary") else lambda state: getattr(state, name, None)
     packets: Came = getattr(evidence, which)
     return None if read is None else packets.column(read)
 
@@ -124,14 +137,14 @@ def _join(evidence: Evidence, which: str) -> _Joined:
 
 
 def _offset(evidence: Evidence, which: str, own: Column, other: Column) -> float | None:
-    """Return the lead of the other clock in s, from values that both interfaces have sent."""
+    """Return the time by which the other clock is ahead, in s, computed from values that both interfaces have sent."""
     for each in _FIELDS:
         if each.realtime not in _KEYS:
             continue
         mine, theirs = _column(evidence, "realtime", each), _column(evidence, which, each)
         if mine is None or theirs is None or mine.shape[1:] != theirs.shape[1:]:
             continue
-        if each.is_float32 and which == "primary":
+        if each.is_float32 and which in ("primary", "secondary"):
             mine = mine.astype(np.float32).astype(np.float64)
         rows = [row.tobytes() for row in mine]
         once = {key for key, count in Counter(rows).items() if count == 1}
@@ -146,7 +159,10 @@ def _offset(evidence: Evidence, which: str, own: Column, other: Column) -> float
 
 
 def _ahead(evidence: Evidence, which: str, own: Column, other: Column) -> float:
-    """Return the same lead from the smallest delays, if no values change, rounded to a cycle."""
+    """Return the time by which the other clock is ahead, in s, computed from delays, and rounded to a cycle.
+
+    The smallest delays of both interfaces are compared. This method is used if no values change from cycle to cycle.
+    """
     packets: Came = getattr(evidence, which)
     ahead = float((evidence.realtime.arrived - own).min() - (packets.arrived - other).min())
     assert evidence.firmware is not None
@@ -156,7 +172,7 @@ def _ahead(evidence: Evidence, which: str, own: Column, other: Column) -> float:
 def _agree(evidence: Evidence) -> Measured:
     wrong: dict[str, dict[str, str]] = {}
     count, tried = 0, []
-    for which in ("rtde", "primary"):
+    for which in ("rtde", "primary", "secondary"):
         try:
             joined = _join(evidence, which)
         except NotTried:
@@ -175,8 +191,12 @@ def _agree(evidence: Evidence) -> Measured:
             if mine is None or theirs is None or mine.shape != theirs.shape:
                 continue
             count += 1
-            rounding = _ROUNDING_32 if each.is_float32 and which == "primary" else _ROUNDING
-            if said := _difference(each.realtime, mine, theirs, rounding, rows):
+            rounding = _ROUNDING_32 if each.is_float32 and which != "rtde" else _ROUNDING
+            if each.is_exact:
+                said = _other_mode(mine, theirs)
+            else:
+                said = _difference(each.realtime, mine, theirs, rounding, rows)
+            if said:
                 wrong.setdefault(each.realtime, {})[which] = said
     if not tried:
         raise NotTried("no two interfaces have sent enough packets of the same cycles")
@@ -184,18 +204,37 @@ def _agree(evidence: Evidence) -> Measured:
 
 
 def _odd_one(name: str, said: Mapping[str, str], tried: Sequence[str]) -> str:
-    """Return which interface differs, if a third one decides, and how."""
+    """Return a description of a difference. If a third interface shows which of two is wrong, name the wrong one."""
     each = next((each for each in _FIELDS if each.realtime == name), None)
     odd, first = next(iter(said.items()))
     if each is None or each.primary is None or len(tried) < 2:
         return f"realtime {name} and {', '.join(said)} {each.rtde if each else ''}: {first}".replace("  ", " ")
-    if len(said) > 1:
+    if "primary" in said and "rtde" in said:
         return f"realtime {name}, against rtde and primary: {first}"
+    if len(said) > 1:
+        return f"{' and '.join(said)} {name}, against the others: {first}"
     return f"{odd} {each.rtde if odd == 'rtde' else name}, against the others: {first}"
 
 
+def _other_mode(own: Column, other: Column) -> str:
+    """Return a description of the difference of a mode on two interfaces; "" if there is none.
+
+    A mode may change one state later on one of the interfaces.
+    """
+    own, other = own.reshape(len(own), -1), other.reshape(len(other), -1)
+    before, after = np.vstack([own[:1], own[:-1]]), np.vstack([own[1:], own[-1:]])
+    wrong = ~((other == own) | (other == before) | (other == after))
+    if not wrong.any():
+        return ""
+    at, which = (int(each[0]) for each in np.nonzero(wrong))
+    return f"{other[at, which]:g} instead of {own[at, which]:g} in {int(wrong.any(axis=1).sum())} of {len(own)} states"
+
+
 def _difference(field: str, own: Column, other: Column, rounding: float, rows: Mapping[tuple[str, str], Column]) -> str:
-    """Return how two interfaces differ in a field, or "". `rows` contains the rows of all fields."""
+    """Return a description of the difference of a field on two interfaces; "" if there is none.
+
+    `rows` contains the rows of all fields.
+    """
 
     def same(a: Column, b: Column) -> bool:
         far = np.abs(a - b) > rounding * np.maximum(1.0, np.abs(a))
@@ -204,8 +243,13 @@ def _difference(field: str, own: Column, other: Column, rounding: float, rows: M
     if same(own, other):
         return ""
     worst = float(np.nanmax(np.abs(own - other)))
+    twins = {name: found for (side, name), found in rows.items() if side != "realtime"}
     for (side, name), found in rows.items():
         pair = (found, other) if side == "realtime" else (own, found)
+        twin = twins.get(name) if side == "realtime" else rows.get(("realtime", name))
+        # Some quantities are equal on every arm, such as I_control and I_target.
+        if twin is not None and twin.shape == own.shape and same(twin, other if side == "realtime" else own):
+            continue
         varies = found.shape == own.shape and np.ptp(found) > 0.0
         if name != field and varies and np.any(own != 0.0) and same(*pair):
             return f"the values of {name} are in its place"
@@ -213,7 +257,7 @@ def _difference(field: str, own: Column, other: Column, rounding: float, rows: M
 
 
 def likeness(right: Column, wrong: Column) -> str:
-    """Return how `wrong` differs from `right`.
+    """Return a description of the difference of `wrong` from `right`.
 
     >>> likeness(np.array([[1.0, 2.0], [3.0, 5.0]]), np.array([[-1.0, 2.0], [-3.0, 5.0]]))
     'the sign of 1 of 2 components is inverted'

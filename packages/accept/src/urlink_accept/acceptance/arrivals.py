@@ -1,4 +1,4 @@
-"""Checks of the received data without its meaning: connections, bytes, sizes, rates and clocks."""
+"""Checks of received data that do not depend on its meaning: connections, bytes, sizes, rates and clocks."""
 
 from __future__ import annotations
 
@@ -18,17 +18,19 @@ from .requirements import Check, Measured, NotTried, counted
 
 #: Type of the sub-package that grows with a Euromap interface, and its possible additional bytes.
 _MASTERBOARD, _EUROMAP = 3, (0, 12, 16)
-#: Last release of CB3, which has no row in the table.
+#: Last release of CB3. The table has no row for this release.
 _LAST_CB3 = Firmware(3, 15)
-#: Minimum number of packets to judge their rate.
+#: Minimum number of packets that are needed to judge their rate.
 _FEWEST = 10
 #: Delay of this computer in s above which late packets are attributed to the computer itself.
 _HELD_UP = 0.03
 #: Relative difference of a rate above which delays of this computer are considered.
 _SLOWER = 0.01
-#: Uncertainty of the stamp of a packet in s, and largest uncertainty of a drift that is judged.
+#: Uncertainty of the stamp of a packet, in s, and largest uncertainty with which a drift is judged.
 _STAMPED, _MOST_DOUBT = 4e-4, 2e-3
-#: Delay in s of all packets in an eighth of the time above which they count as delayed by an interruption.
+#: Allowed delays compared with the quickest packet, in cycles: for half of the packets, and for 95 % of the packets.
+_MIDDLE, _MOST = 1.5, 4.0
+#: If all packets in an eighth of the time have a larger delay than this, in s, an interruption counts as the cause.
 _STEP = 0.02
 
 
@@ -36,7 +38,7 @@ def known_arm(evidence: Evidence) -> tuple[Identity, Model]:
     """Return the identity of the controller, and the model of its arm.
 
     Raises:
-        NotTried: If the controller has not reported them, or the arm is unknown.
+        NotTried: If the controller has not reported its identity, or the arm is unknown.
     """
     known = evidence.identity
     if known is None or known.arm is None:
@@ -151,22 +153,22 @@ def _state_size(evidence: Evidence) -> Measured:
 
 
 def moments(name: str, packets: Came) -> NDArray[np.float64]:
-    """Return the time of each state of an interface by the controller's clock, in s, shape (n,).
+    """Return the controller's time of each state of an interface, in s, shape (n,).
 
     Raises:
-        NotTried: If the states have no time, or too few arrived.
+        NotTried: If the states contain no time, or if too few states arrived.
     """
     if len(packets.states) < _FEWEST:
         raise NotTried(f"{len(packets.states)} packets of {name} arrived; {_FEWEST} are needed")
     times = packets.column(_TIMES[name])
     if times is None:
-        raise NotTried(f"the packets of {name} have no time")
+        raise NotTried(f"the packets of {name} do not contain the time of the controller")
     return times
 
 
 def _state_time(state: Any) -> float | None:
     modes = state.robot_mode_data
-    # On CB2, this number has another meaning.
+    # On CB2, the time stamp has another meaning.
     return None if modes is None or modes.speed_scaling is None else modes.timestamp / 1e6
 
 
@@ -203,14 +205,14 @@ def _rate(name: str) -> Check:
         is_old = (evidence.last("rtde") or {}).get("protocol") == 1
         wanted = {"primary": 10.0, "rtde": 125.0 if is_old else rate}.get(name, rate)
         if name == "primary" and evidence.firmware is not None and evidence.firmware.is_cb2:
-            # The time of CB2 has another meaning.
+            # On CB2, the time stamp has another meaning, so use the times of arrival.
             steps = np.diff(packets.arrived[packets.begins[-1] :] if packets.begins else packets.arrived)
         else:
             steps = _steps(name, packets)
         if len(steps) < _FEWEST:
             raise NotTried(f"{len(steps)} periods of {name} arrived; {_FEWEST} are needed")
-        # A primary package is sent every 12th or 13th cycle. For the other interfaces, missing packets are counted
-        # elsewhere.
+        # A primary package is sent every 12th or 13th cycle, so use the mean period. For other interfaces, use the
+        # median, because another check counts missing packets.
         period = float(np.mean(steps) if name == "primary" else np.median(steps))
         measured = 1.0 / period if period > 0.0 else np.inf
         seen = f"{measured:.2f} Hz of {wanted:g} Hz in {len(steps)} periods"
@@ -242,6 +244,25 @@ def _late(evidence: Evidence) -> Measured:
     if late > _HELD_UP:
         _blame_this_computer(evidence, seen)
     return Measured(late, seen)
+
+
+def _jitter(name: str) -> Check:
+    def check(evidence: Evidence) -> Measured:
+        packets = _listened(evidence, name)
+        delays = packets.arrived - moments(name, packets)
+        cycle = 1.0 / (
+            125.0
+            if name == "rtde" and (evidence.last("rtde") or {}).get("protocol") == 1
+            else _release(evidence).since.rate
+        )
+        middle, most = (float(each) / cycle for each in np.quantile(delays - delays.min(), (0.5, 0.95)))
+        seen = f"{name}: half within {middle:.2f} cycles, 95 of 100 within {most:.2f} cycles of {cycle * 1e3:g} ms"
+        value = max(middle / _MIDDLE, most / _MOST)
+        if value > 1.0:
+            _blame_this_computer(evidence, seen)
+        return Measured(value, seen)
+
+    return check
 
 
 def _blame_this_computer(evidence: Evidence, seen: str) -> None:
@@ -276,13 +297,13 @@ def _forward(evidence: Evidence) -> Measured:
 def _drift(evidence: Evidence) -> Measured:
     packets = evidence.realtime
     times, arrived = moments("realtime", packets), packets.arrived
-    # Use only the longest connection, because another one might be from after a reboot.
+    # Use only the longest connection, because the controller might have been rebooted between two connections.
     ends = [*packets.begins[1:], len(times)]
     begin, end = max(zip(packets.begins, ends, strict=True), key=lambda each: each[1] - each[0])
     times, delays = times[begin:end], (arrived - times)[begin:end]
     if len(times) < _FEWEST or times[-1] - times[0] < 1.0:
         raise NotTried("the packets span less than 1 s")
-    # The line passes through two packets without delay, so that it is below all others.
+    # The line passes through two packets without delay, so all other packets are above the line.
     middle = 0.5 * float(times[0] + times[-1])
     (begun, least), (ended, most) = lowest_edge(zip(times.tolist(), delays.tolist(), strict=True), middle)
     length = ended - begun
@@ -291,8 +312,8 @@ def _drift(evidence: Evidence) -> Measured:
     doubt = (2.0 * float(np.quantile(above, 0.05)) + _STAMPED) / length
     seen = f"{-slope * 1e6:+.0f} ppm, with an uncertainty of {doubt * 1e6:.0f} ppm, in {times[-1] - times[0]:.1f} s"
     if doubt > _MOST_DOUBT:
-        raise NotTried(f"the arrival of packets was too uneven: {seen}")
-    # A drift is steady. A controller that was interrupted, such as a simulated one, becomes late at once.
+        raise NotTried(f"packets arrived too irregularly to measure the drift of the clock: {seen}")
+    # A drift is steady. If a controller was interrupted, for example a simulated one, its packets become late suddenly.
     if (late := max(float(part.min()) for part in np.array_split(above, 8))) > _STEP:
         raise NotTried(
             f"packets were suddenly {late * 1e3:.0f} ms late, so the drift of the clock is uncertain: {seen}"
@@ -316,6 +337,8 @@ ARRIVALS: Mapping[str, Check] = {
     "rtde-rate": _rate("rtde"),
     "realtime-missed": _missed,
     "realtime-late": _late,
+    "realtime-jitter": _jitter("realtime"),
+    "rtde-jitter": _jitter("rtde"),
     "clock-forward": _forward,
     "clock-drift": _drift,
 }

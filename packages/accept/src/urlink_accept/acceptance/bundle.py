@@ -1,9 +1,9 @@
-"""Bundle: the result of a run in one file, which others can judge again.
+"""Bundle: the result of a run in one file, from which other people can compute the verdicts again.
 
-It is a ZIP archive of the logbook, the requirements with the limits of this run, and a manifest with the SHA-256 of
-both. The SHA-256 of the manifest is the digest of the bundle. Serial numbers, names of programs and network addresses
-identify the owner of the robot. Wherever they are known to occur, they are overwritten with the same number of x. The
-calibration of the arm is kept, because positions cannot be judged without it.
+A bundle is a ZIP archive of the logbook, the requirements with the limits of this run, and a manifest with the SHA-256
+of these two files. The SHA-256 of the manifest is the digest of the bundle. Serial numbers, names of programs and
+network addresses identify the owner of the robot. Known occurrences of these texts are overwritten, with one x for each
+byte. The calibration of the arm is kept, because positions cannot be judged without it.
 """
 
 from __future__ import annotations
@@ -29,19 +29,21 @@ from .requirements import Requirement, read, written
 
 _BYTES, _REQUIREMENTS, _MANIFEST = "bytes.urlog", "requirements.toml", "MANIFEST.json"
 _FORMAT = 1
-#: Maximum size of each part once it is unpacked, in bytes. The logbook of a run of five minutes takes about 300 MB.
+#: Maximum size of each unpacked part, in bytes. The logbook of a run of five minutes takes about 300 MB.
 _LARGEST = {_MANIFEST: 1 << 16, _REQUIREMENTS: 1 << 20, _BYTES: 1 << 30}
 #: Size of the chunks that are unpacked, in bytes.
 _CHUNK = 1 << 16
-#: Time stamp in archives. It is constant, so that the same run results in the same bytes.
+#: Constant time stamp in archives, so that the same run results in the same bytes.
 _EPOCH = (1980, 1, 1, 0, 0, 0)
-#: Serial number: the year, and the number within the year.
+#: Pattern of a serial number: the year, and the number within the year.
 _SERIAL = re.compile(rb"(?<!\d)20\d{9}(?!\d)")
-#: Dashboard commands whose replies contain the name of a program, and the titles of key messages with such a name.
+#: Dashboard commands with the name of a program in the reply, title of key messages with such a name, and name of a new
+#: program.
 _NAMING = ("get loaded program", "isProgramSaved", "programState")
 _PROGRAM = "PROGRAM_XXX"
 _UNNAMED = "<unnamed>"
-#: Length in bytes below which a name is overwritten only at known places, because other bytes may look like it.
+#: Length in bytes below which a name is overwritten only at known places, because other bytes might be equal to it by
+#: chance.
 _SHORT = 4
 #: Names of the programs of the test itself, which are not secret.
 _OWN = re.compile(r"^(urlink|sleeps|goes_on|in_local|broken|accept)")
@@ -53,7 +55,7 @@ class Bundle(NamedTuple):
     Attributes:
         evidence: Evidence of the run.
         requirements: Requirements with the limits of the run.
-        site: Description of the cell, from its own requirement file.
+        site: Description of the cell, from the user's requirement file.
         digest: SHA-256 of the manifest, in hexadecimal digits.
         recording: Recording with the bytes of all connections, for `urlink.load`.
     """
@@ -79,7 +81,7 @@ def pack(
         to: Path of the bundle. An existing file is replaced.
         requirements: Requirements with the limits of the run.
         site: Description of the cell.
-        secrets: Texts to overwrite in addition to those that are found, such as addresses.
+        secrets: Texts to overwrite in addition to texts that are found in the logbook, for example addresses.
 
     Raises:
         BadRecording: If the logbook is damaged, or the bundle cannot be written.
@@ -104,8 +106,8 @@ def opened(path: Path) -> Iterator[Bundle]:
     """Open a bundle for the duration of the block.
 
     Raises:
-        BadRecording: If the path has no bundle, the bundle was changed after it was made, or a part of it is larger
-            than in any run.
+        BadRecording: If the file is not a bundle, was changed after it was made, or contains a part that is larger than
+            in any run.
     """
     with tempfile.TemporaryDirectory(prefix="urlink-bundle-") as folder:
         logbook = Path(folder) / _BYTES
@@ -136,11 +138,12 @@ def opened(path: Path) -> Iterator[Bundle]:
 
 
 def _unpacked(archive: zipfile.ZipFile, name: str) -> Iterator[bytes]:
-    """Yield the bytes of a part in chunks, up to its maximum size, whatever size the archive declares.
+    """Yield the bytes of a part in chunks, up to its maximum size, even if the archive declares another size.
 
     Raises:
         ValueError: If the part is larger.
-        NotImplementedError: If the part is not compressed as in `pack`. Other methods can unpack without a bound.
+        NotImplementedError: If the part is not compressed with the method of `pack`. With other methods, the size of
+            the unpacked data cannot be limited.
     """
     if archive.getinfo(name).compress_type not in (zipfile.ZIP_DEFLATED, zipfile.ZIP_STORED):
         raise NotImplementedError(f"{name} is compressed by a method other than deflate")
@@ -155,7 +158,7 @@ def _unpacked(archive: zipfile.ZipFile, name: str) -> Iterator[bytes]:
 
 @contextmanager
 def recording_in(path: Path) -> Iterator[Path]:
-    """Yield the recording of a bundle (`.zip`) for the duration of the block. Any other file is returned unchanged.
+    """Yield the path of the recording in a bundle (`.zip`) while the block is open. Other paths are yielded unchanged.
 
     Raises:
         BadRecording: See `opened`.

@@ -32,7 +32,7 @@ from urlink.tools import (
     split_names,
 )
 
-from .logbook import NOTES, SENT
+from .logbook import DELAYED, NOTES, SENT
 
 
 class Note(NamedTuple):
@@ -51,7 +51,7 @@ class Note(NamedTuple):
 
 @dataclass
 class Wire:
-    """One connection, in one direction.
+    """Data of one connection in one direction.
 
     Attributes:
         interface: Name of the interface: "realtime", "primary", ... or "reverse".
@@ -76,14 +76,14 @@ class Came:
     """Packets of one interface, from all connections to it.
 
     Attributes:
-        states: Packets of the class with the values, in the order of their arrival.
+        states: Packets of the class that contains the values, in the order of their arrival.
         arrivals: Monotonic arrival time of each state, in s.
         others: All other packets.
-        sizes: Size of a packet in bytes -> number of packets of this size.
+        sizes: Number of packets of each size. The keys are the sizes in bytes.
         failures: Reasons why packets could not be decoded.
         skipped: Number of bytes that belong to no packet.
         unknown: Number of packets, or parts of packets, of an unknown type.
-        tails: Number of packets, or parts of packets, that end in bytes which no layout explains.
+        tails: Number of packets, or parts of packets, that end with bytes that no layout describes.
         begins: Indices of the first state of each connection.
     """
 
@@ -98,7 +98,7 @@ class Came:
     begins: list[int] = field(default_factory=list)
 
     def column(self, read: Callable[[Any], Any]) -> NDArray[np.float64] | None:
-        """Return the values that `read` returns for the states, one row each; None if a state does not have them."""
+        """Return the values that `read` returns for the states, one row for each state; None if a state lacks them."""
         values = [read(state) for state in self.states]
         if not values or any(value is None for value in values):
             return None
@@ -170,6 +170,23 @@ class Evidence:
         found = self.said(step)
         return found[-1].said if found else None
 
+    def delay(self, begin: float, end: float) -> float:
+        """Return the longest delay of the computer between two monotonic times, in s.
+
+        The time for which the step "frozen" suspends this program on purpose does not count.
+        """
+        frozen = [note for note in self.said("frozen") if "seconds" in note.said]
+        worst = 0.0
+        for at, by in self._delays:
+            meant = sum(n.said["seconds"] for n in frozen if at - by <= n.at and n.at - n.said["seconds"] <= at)
+            if at - by <= end and at >= begin:
+                worst = max(worst, by - meant)
+        return worst
+
+    @cached_property
+    def _delays(self) -> list[tuple[float, float]]:
+        return [(note.at, note.said["by"]) for note in self.said(DELAYED)]
+
     def stage(self, number: int) -> tuple[float, float]:
         """Return the monotonic start times of a stage and of the next one, in s.
 
@@ -183,7 +200,7 @@ class Evidence:
         return [wire for wire in self.wires if wire.interface == interface and not wire.is_sent]
 
     def _alone(self, interface: str) -> list[Wire]:
-        """Return consecutive connections, without those that were opened while another one was open."""
+        """Return the connections that were opened while no other connection to the interface was open."""
         return [wire for wire in self.received(interface) if not wire.is_beside]
 
     @cached_property
@@ -215,8 +232,18 @@ class Evidence:
         return _read([(wire, RtdeProtocol(Requests(names, optional=frozenset(names))))], Outputs)
 
 
+def decoded(evidence: Evidence, wire: Wire, protocol: Any, kind: type) -> Came:
+    """Return the packets of one connection. For RTDE, pass None as the protocol; the requested names determine it."""
+    if protocol is not None:
+        return _read([(wire, protocol())], kind)
+    received = evidence.received("rtde")
+    sent = [each for each in evidence.wires if each.interface == "rtde" and each.is_sent]
+    names = _names(sent[next(at for at, each in enumerate(received) if each is wire)])
+    return _read([(wire, RtdeProtocol(Requests(names, optional=frozenset(names))))], kind) if names else Came()
+
+
 def _names(sent: Wire) -> tuple[str, ...]:
-    """Return the outputs that were first requested, and started, on a connection to RTDE."""
+    """Return the names of the first outputs that were requested and started on a connection to RTDE."""
     data, at, is_started = sent.data, 0, False
     names: tuple[str, ...] = ()
     while at + 3 <= len(data):
@@ -224,7 +251,7 @@ def _names(sent: Wire) -> tuple[str, ...]:
         frame = data[at : at + max(size, 3)]
         is_started = is_started or frame[2:3] == b"S"
         if frame[2:3] == b"O" and not names:
-            # Under protocol 2, a frequency precedes the names. Its first byte is not a letter.
+            # In protocol 2, a frequency precedes the names. The first byte of the frequency is not a letter.
             request = decode_request(frame, 1 if frame[3:4].isalpha() else 2)
             assert isinstance(request, OutputsRequest)
             names = split_names(request.names)

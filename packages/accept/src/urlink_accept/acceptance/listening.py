@@ -1,4 +1,4 @@
-"""Stage 0: listen to a controller and send queries only. Also the checks of its answers.
+"""Stage 0: listen to a controller, send only queries, and check the answers of the controller.
 
 The answers are the variables of RTDE, and the replies of the dashboard or the Robot API.
 """
@@ -13,20 +13,16 @@ from urlink import LinkError, PacketError, Robot
 from urlink.rtde import OUTPUTS
 from urlink.tools import (
     COMMANDS,
-    DashboardProtocol,
-    Dialogue,
-    HttpClient,
     RobotAddress,
-    RobotApi,
     StartReply,
     TcpTransport,
-    find,
     parse_robot_mode,
     parse_safety_mode,
     parse_truth,
 )
 
 from .agreement import RTDE_NAMES
+from .dashboards import answers
 from .evidence import Evidence
 from .logbook import Logbook
 from .requirements import Check, Measured, NotTried, counted
@@ -36,7 +32,8 @@ _NOT_ASKED = ("quit", "get serial number")
 _TIMEOUT = 5.0
 #: Interval between checks of the clock, in s.
 _STEP = 0.01
-#: Kinds of evidence for a release in the table of variables that a controller without the variable contradicts.
+#: Kinds of evidence for the first release of a variable. With such evidence, a controller without the variable is
+#: wrong. With other evidence, the table of variables might be wrong.
 _BACKED = ("vendor", "drivers")
 
 
@@ -44,7 +41,7 @@ def listen(robot: Robot, place: RobotAddress, book: Logbook, seconds: float) -> 
     """Listen to every interface for a time, and send queries that change nothing.
 
     Args:
-        robot: Robot that was connected within the logbook.
+        robot: Robot that was connected while the logbook was open.
         place: Address with its ports.
         book: Logbook to write to.
         seconds: Time to listen, in s.
@@ -109,29 +106,9 @@ def _start_rtde(robot: Robot, book: Logbook) -> None:
 
 def _ask(robot: Robot, place: RobotAddress, book: Logbook) -> None:
     """Send every query of the dashboard that this firmware has, or that the Robot API can answer."""
-    firmware = robot.firmware
-    interface = "robot_api" if firmware.is_polyscope_x else "dashboard"
-    if interface not in place.ports:
-        return
-    transport = TcpTransport(place.host, place.ports[interface], silence=_TIMEOUT)
-    dialogue = Dialogue(transport, DashboardProtocol, interface, _TIMEOUT)
-    api = RobotApi(HttpClient(place.host, place.ports[interface]), _TIMEOUT)
-    try:
-        for command in COMMANDS.values():
-            is_there = find(command.name, firmware) if firmware.is_polyscope_x else command.is_on(firmware)
-            if not command.only_asks or command.name in _NOT_ASKED or not is_there:
-                continue
-            reply, problem = "", None
-            try:
-                if firmware.is_polyscope_x:
-                    reply = api.do(command.name, None, firmware)
-                else:
-                    reply = dialogue.ask(command.name, _TIMEOUT)
-            except LinkError as error:
-                problem = str(error)
-            book.note("dashboard", asked=command.name, reply=reply, error=problem)
-    finally:
-        dialogue.close()
+    names = [each.name for each in COMMANDS.values() if each.only_asks and each.name not in _NOT_ASKED]
+    for asked, reply, error in answers(robot, place, names):
+        book.note("dashboard", asked=asked, reply=reply, error=error)
 
 
 # -- checks ----------------------------------------------------------------------------------------
@@ -187,7 +164,7 @@ def _words(evidence: Evidence) -> Measured:
 
 def _dashboard_modes(evidence: Evidence) -> Measured:
     answers = {said["asked"]: said["reply"] for _, _, said in evidence.said("dashboard") if not said["error"]}
-    # Later stages run programs.
+    # Use only states of stage 0, because later stages run programs.
     states = evidence.primary.between(-math.inf, evidence.stage(0)[1]).states
     if not answers or not states or evidence.firmware is None:
         raise NotTried("there is no dashboard, or no robot state")

@@ -1,9 +1,9 @@
-"""Logbook of an acceptance run, written as it happens: every byte, and notes of all steps.
+"""Logbook of an acceptance run, with every received and sent byte, and with notes of all steps.
 
-It is a recording (`linkcore.recording.file`). A channel holds the consecutive connections to one port, in one
+The logbook is a recording (`linkcore.recording.file`). A channel holds the consecutive connections to one port, in one
 direction: "realtime" for received bytes, "realtime sent" for sent bytes, and "primary 2" for connections that were
-opened while another one was open. The connections that programs on the robot make are "reverse". The channel "notes"
-has a JSON object in each record.
+opened while another one was open. The channel of connections that programs on the robot make is "reverse". Each record
+of the channel "notes" is a JSON object.
 """
 
 from __future__ import annotations
@@ -20,6 +20,10 @@ from linkcore.clock import Stamp
 from urlink import Closed, RecordingWriter
 from urlink.tools import Kind, TcpTransport, strict_json, witnessed
 
+from .delays import DelayMeter
+
+#: Name of the step in notes about delays of this computer.
+DELAYED = "delayed"
 #: Channel of the notes, interface of the connections that programs make, and suffix of the channels with sent bytes.
 NOTES, REVERSE, SENT = "notes", "reverse", " sent"
 
@@ -29,7 +33,7 @@ class Logbook:
 
     Args:
         path: Path of a file that does not exist yet.
-        ports: Name of each port of the controller -> its number.
+        ports: Numbers of the ports of the controller. The keys are the names of the ports.
         noted: Function that is called with the step of each note, except at the end of a step.
 
     Raises:
@@ -51,11 +55,12 @@ class Logbook:
     def note(self, step: str, **said: Any) -> None:
         """Write a note about an action or an answer. The content must be JSON-serialisable; NaN becomes null."""
         self._writer.write(Kind.BYTES, self._notes, Stamp.now(), strict_json({"step": step, **said}).encode())
-        if said.get("event") != "end":
+        if said.get("event") != "end" and step != DELAYED:
             self._noted(step)
 
     def __enter__(self) -> Logbook:
         self._witness.enter_context(witnessed(self._seen))
+        self._witness.enter_context(DelayMeter(lambda late: self.note(DELAYED, by=late)))
         return self
 
     def __exit__(self, *exc: object) -> None:
@@ -96,7 +101,7 @@ class Logbook:
 
 
 class _Seen:
-    """Socket that records the bytes that pass."""
+    """Socket that records all received and sent bytes."""
 
     def __init__(self, book: Logbook, connection: Any, name: str) -> None:
         self._book = book

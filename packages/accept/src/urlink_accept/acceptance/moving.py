@@ -1,8 +1,8 @@
-"""Stage 2: one wrist joint moves by some degrees, while a person holds a switch at a digital input.
+"""Stage 2: one wrist joint moves by a few degrees, while a person holds a switch at a digital input.
 
 Every goal is within `SWING` of the start position of the wrist. A guard checks each state, and stops the arm if a joint
-leaves `BOX` or the switch is released. The speed slider is at a tenth, except where its effect is measured. It is
-restored at the end.
+leaves `BOX` or the switch is released. The speed slider is at 10 %, except in steps that measure its effect. At the
+end, the slider is restored.
 """
 
 from __future__ import annotations
@@ -32,15 +32,16 @@ _SOON, _LONG = 5.0, 40.0
 
 
 def move(robot: Robot, book: Logbook, person: Person, dead_man: int | None, is_simulated_here: bool) -> None:
-    """Try all steps that move the arm. Each step notes its result, and only a stop by the guard ends the others.
+    """Try all steps that move the arm. Each step notes its result. Only a stop by the guard prevents later steps.
 
     Args:
-        robot: Robot that was connected within the logbook, running, and in remote control if it has this mode.
+        robot: Robot that was connected while the logbook was open, running, and in remote control if it has this mode.
         book: Logbook to write to.
-        person: Person who presses what has to be pressed.
-        dead_man: Number of the digital input that is on while the arm may move; None if the person reports it
-            otherwise.
-        is_simulated_here: Whether the controller is in this process, and would be frozen with it.
+        person: Person who presses buttons on request.
+        dead_man: Number of the digital input that is on while the arm may move; None if `person.holds` reports it
+            instead.
+        is_simulated_here: Whether the controller is simulated in this process, so that it would be frozen together with
+            the process.
 
     Raises:
         Cancelled: If the guard has stopped the arm, or the dead-man switch is not held at the beginning.
@@ -96,7 +97,7 @@ class _Wrist:
         self._guard.check()
 
     def _moving(self) -> Motion:
-        """Start a motion to the other side, which takes about a second."""
+        """Start a motion to the other side. The motion takes about one second."""
         motion = self._robot.motion.move_joints(self._goal(), SPEED, _ACCELERATION)
         self._robot.realtime.wait_until(lambda state: abs(state.qd_target[WRIST]) > 0.5 * SPEED * _SLOW, _SOON)
         return motion
@@ -131,7 +132,7 @@ class _Wrist:
         self._book.note("pause", event="told")
         try:
             self._robot.dashboard.pause()
-        except LocalError as error:  # this firmware has no way to pause
+        except LocalError as error:  # this firmware cannot pause a program
             motion.cancel()
             return {"skipped": str(error)}
         clock.sleep(1.5)
@@ -165,11 +166,12 @@ class _Wrist:
             return {"skipped": "the simulated controller is in this process, and would be frozen with it"}
         if os.name != "posix":
             return {"skipped": "this system cannot freeze a process"}
-        # The readers are frozen too. The motion of the arm in this time is in the bytes that wait in the kernel.
+        # The readers are frozen too. The kernel buffers the bytes that show the motion of the arm in this time.
         script = f"kill -STOP {os.getpid()}; sleep {_FROZEN}; kill -CONT {os.getpid()}"
 
         def freeze() -> None:
             subprocess.run(["sh", "-c", script], check=True)
+            self._book.note("frozen", event="thawed", seconds=_FROZEN)
             clock.sleep(0.5)
 
         return self._streamed("frozen", freeze)
@@ -177,7 +179,8 @@ class _Wrist:
     def _streamed(self, step: str, interrupt: Callable[[], object]) -> Told:
         """Stream set-points that move the wrist slowly, and then stop sending them."""
         ended = ""
-        # At a tenth, each set-point takes ten cycles, and the program on the robot checks its watchdog only as often.
+        # With the slider at 10 %, each set-point takes ten cycles, and the program checks its watchdog only every ten
+        # cycles.
         self._robot.set_speed_slider(1.0, confirm=_SOON)
         try:
             with self._robot.motion.servo(watchdog=WATCHDOG) as servo:

@@ -16,7 +16,8 @@ from .evidence import Evidence
 from .requirements import Check, Measured, NotTried, counted
 from .standing import BEGIN, END, SLEEP, Told
 
-#: Silence of the real-time interface in s after which times are not judged, and time in s that is quick in spite of it.
+#: Silence of the real-time interface, in s, above which times are not judged. A time up to the second value, in s, is
+#: accepted in spite of such a silence.
 HELD_UP, _QUICK = 0.1, 0.05
 
 
@@ -34,10 +35,10 @@ def span(evidence: Evidence, step: str) -> tuple[float, float]:
 
 
 def held_up(evidence: Evidence, step: str) -> float:
-    """Return the longest silence of the real-time interface during a step, in s. It explains late results."""
+    """Return the longest silence of the real-time interface during a step, in s. A silence explains late results."""
     begin, end = span(evidence, step)
     arrived = evidence.realtime.arrived
-    # The time from the last packet to the end of the step counts as well.
+    # The time from the last packet to the end of the step also counts as a silence.
     return float(np.diff([begin, *arrived[(arrived >= begin) & (arrived <= end)], end]).max())
 
 
@@ -45,7 +46,7 @@ def unless_held_up(evidence: Evidence, step: str, found: Measured, most: float) 
     """Return the result of a step, unless a delay explains it.
 
     Raises:
-        NotTried: If it is more than `most`, and this computer or the network was delayed during the step.
+        NotTried: If the result is more than `most`, and this computer or the network was delayed during the step.
     """
     if found.value > most and (silent := held_up(evidence, step)) > HELD_UP:
         raise NotTried(f"for {silent * 1e3:.0f} ms nothing arrived from the controller; {found.seen}")
@@ -73,7 +74,7 @@ def _of(step: str, judged: Callable[[Evidence, Told], Measured], *, is_timed: bo
     Args:
         step: Name of the step.
         judged: Function that converts the note of the step to a measurement.
-        is_timed: Whether a duration is judged, which is meaningless if this computer was delayed.
+        is_timed: Whether the check judges a duration. A duration has no meaning if this computer was delayed.
     """
 
     def check(evidence: Evidence) -> Measured:
@@ -117,7 +118,7 @@ def _claims(evidence: Evidence, said: Told) -> Measured:
 
 def _compile_error(evidence: Evidence, said: Told) -> Measured:
     if not said["told"]:
-        return Measured(math.inf, f"a program that cannot be compiled had no error within {said['took']:.1f} s")
+        return Measured(math.inf, f"no error of a program that cannot be compiled within {said['took']:.1f} s")
     return Measured(said["took"], said["told"])
 
 
@@ -181,11 +182,11 @@ def _silent(evidence: Evidence, said: Told) -> Measured:
     times = moments("realtime", evidence.realtime)
     during = times[(evidence.realtime.arrived >= begin) & (evidence.realtime.arrived <= end)]
     if len(during) < 2 or evidence.firmware is None:
-        return Measured(1.0, "no packet arrived meanwhile")
+        return Measured(1.0, "no packet arrived while another client did not read")
     expected = (during[-1] - during[0]) * evidence.firmware.rate + 1.0
     lost = max(1.0 - len(during) / expected, 0.0)
     then = f"the controller closed its connection: {said['closed']}" if said["closed"] else "it could continue to read"
-    return Measured(lost, f"{len(during)} of {expected:.0f} packets reached another client meanwhile; {then}")
+    return Measured(lost, f"{len(during)} of {expected:.0f} packets arrived while another client did not read; {then}")
 
 
 def _local(evidence: Evidence, said: Told) -> Measured:

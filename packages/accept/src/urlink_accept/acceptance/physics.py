@@ -10,18 +10,19 @@ from numpy.typing import NDArray
 
 from urlink.arm import poses
 from urlink.packets import JointMode, ProgramState, RobotMode, RobotModeCB2, SafetyMode
-from urlink.tools import Dynamics, motors_of, tool_offset
+from urlink.tools import GRAVITY, Dynamics, motors_of, tool_offset
 
 from .arrivals import known_arm, moments
 from .evidence import Evidence
-from .requirements import Check, Measured, NotTried, counted
+from .requirements import Check, Measured, NotTried, counted, how_different
 
-#: Speed in rad/s below which an arm is at rest, and above which its velocities can be judged.
+#: Speed in rad/s below which an arm counts as at rest, and speed in rad/s above which its velocities can be judged.
 _STANDS, _MOVES = 1e-3, 0.02
 #: Moment in Nm above which the current has the direction of the moment despite friction.
 _HEAVY = 5.0
-_GRAVITY = 9.82
-#: Fraction of the acceleration at rest along the axis of the base of an upright arm.
+#: Largest factor between the torque constants of an arm and those in the table.
+_CONSTANTS = 1.7
+#: Smallest fraction of the acceleration at rest that is along the axis of the base, if an arm is upright.
 _UPRIGHT = 0.95
 
 
@@ -57,7 +58,7 @@ def _column(evidence: Evidence, name: str) -> NDArray[np.float64] | None:
 
 
 def _wanted(evidence: Evidence, *names: str) -> list[NDArray[np.float64]]:
-    moments("realtime", evidence.realtime)  # checks that enough packets have arrived
+    moments("realtime", evidence.realtime)  # raises if too few packets have arrived
     found = [_column(evidence, name) for name in names]
     if any(each is None for each in found):
         raise NotTried(f"this firmware does not send {' and '.join(names)}")
@@ -65,7 +66,7 @@ def _wanted(evidence: Evidence, *names: str) -> list[NDArray[np.float64]]:
 
 
 def _stands(evidence: Evidence) -> NDArray[np.bool_]:
-    """Return which packets show an arm that runs and has been at rest for the last tenth of a second."""
+    """Return, for each packet, whether the arm is running and has been at rest for the last 0.1 s."""
     (qd,) = _wanted(evidence, "qd_target")
     running = RobotModeCB2.RUNNING if evidence.firmware is not None and evidence.firmware.is_cb2 else RobotMode.RUNNING
     modes = _column(evidence, "robot_mode")
@@ -76,7 +77,7 @@ def _stands(evidence: Evidence) -> NDArray[np.bool_]:
     if modes is not None:
         stands &= modes == running
     if not stands.any():
-        raise NotTried("the arm does not run, or is never at rest")
+        raise NotTried("the arm was not running, or it was never at rest")
     return stands
 
 
@@ -135,7 +136,7 @@ def _velocities(evidence: Evidence) -> Measured:
         p, v = _wanted(evidence, position, velocity)
         with np.errstate(divide="ignore", invalid="ignore"):
             derived = (np.diff(p, axis=0) / steps[:, None])[is_next]
-        # The mean of a cycle is between the values at its ends. An arm can brake within a single cycle.
+        # The mean speed in a cycle is between the speeds at its ends. An arm can brake within a single cycle.
         between = np.clip(derived, np.minimum(v[1:], v[:-1])[is_next], np.maximum(v[1:], v[:-1])[is_next])
         for joint in range(6):
             a, b = derived[:, joint], between[:, joint]
@@ -152,22 +153,32 @@ def _velocities(evidence: Evidence) -> Measured:
     return counted(wrong, f"derivatives agree: {', '.join(tried)}")
 
 
-def _kinematics(evidence: Evidence) -> Measured:
-    known, _ = known_arm(evidence)
+def _first_tcp(evidence: Evidence) -> list[float]:
+    """Return the first reported TCP, in m and rad in the frame of the flange."""
     info = next((state.cartesian_info for state in evidence.primary.states if state.cartesian_info is not None), None)
     tcp = None if info is None else tool_offset(info)
     if tcp is None:
         raise NotTried("this firmware does not report the TCP")
+    return tcp
+
+
+def _kinematics(evidence: Evidence) -> Measured:
+    known, _ = known_arm(evidence)
+    tcp = _first_tcp(evidence)
     last = evidence.primary.states[-1].cartesian_info
     if last is None or tool_offset(last) != tcp:
-        raise NotTried("the TCP was changed meanwhile")
+        raise NotTried("the TCP changed during the test")
     q, pose = _wanted(evidence, "q_actual", "tool_vector_actual")
     some = np.linspace(0, len(q) - 1, min(len(q), 200)).astype(int)
     expected = known.kinematics.forward(q[some], tcp)
     apart = np.linalg.norm(expected[:, :3] - pose[some, :3], axis=1)
     turned = np.linalg.norm(poses.compose(poses.invert(expected), pose[some])[:, 3:], axis=1)
     which = "its own calibration" if known.dh_table is not None else "the published lengths"
-    seen = f"at most {apart.max() * 1e3:.3f} mm and {turned.max() * 1e3:.3f} mrad, with {which}"
+    still = not np.ptp(pose, axis=0).any() and np.ptp(q[:, :3], axis=0).max() > _STANDS
+    how = "; tool_vector_actual is frozen" if still else ""
+    if apart.max() > 0.01:
+        how = how or f"; tool_vector_actual: {how_different(expected[:, :3].ravel(), pose[some, :3].ravel())}"
+    seen = f"at most {apart.max() * 1e3:.3f} mm and {turned.max() * 1e3:.3f} mrad, with {which}{how}"
     # A rotation counts as the distance that a point at 1 m from the tool moves.
     return Measured(float(max(apart.max(), turned.max())), seen)
 
@@ -179,7 +190,7 @@ def _gravity(evidence: Evidence) -> Measured:
     (acceleration,) = _wanted(evidence, "tool_accelerometer")
     payload, cog = _column(evidence, "payload_mass"), _column(evidence, "payload_cog")
     if payload is None or cog is None:
-        raise NotTried("this firmware does not report the payload")
+        payload, cog = _fitted_payload(known, q, moment, stands)
     at = np.flatnonzero(stands)[:: max(int(stands.sum()) // 50, 1)]
     felt = poses.rotvec_to_matrix(known.kinematics.forward(q[at[0]])[3:]) @ acceleration[at].mean(axis=0)
     if abs(felt[2]) < _UPRIGHT * float(np.linalg.norm(felt)):
@@ -193,9 +204,28 @@ def _gravity(evidence: Evidence) -> Measured:
         if not seen or apart[joint] > worst:
             worst = max(float(apart[joint]), 0.0)
             seen = (
-                f"joint {joint + 1}: {moment[number, joint]:.2f} Nm; expected {expected[joint]:.2f} Nm from the masses"
+                f"M_target of joint {joint + 1}: {moment[number, joint]:.2f} Nm; expected {expected[joint]:.2f} Nm "
+                f"from the masses: {how_different(expected, moment[number])}"
             )
     return Measured(worst, f"{seen}, for an upright arm with {payload[at[0]]:.2f} kg")
+
+
+def _fitted_payload(
+    known: Any, q: NDArray[np.float64], moment: NDArray[np.float64], stands: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the payload that explains the moments best, for firmware that does not report it.
+
+    The masses have the shape (n,), in kg, and the centres of gravity are at the flange, shape (n, 3).
+    """
+    at = int(np.flatnonzero(stands)[0])
+    empty = Dynamics(known.kinematics).gravity_torque(q[at])
+    each = Dynamics(known.kinematics, payload=1.0, payload_cog=(0.0, 0.0, 0.0)).gravity_torque(q[at]) - empty
+    mass = float(np.clip((moment[at] - empty) @ each / max(float(each @ each), 1e-9), 0.0, _LARGEST_PAYLOAD))
+    return np.full(len(q), mass), np.zeros((len(q), 3))
+
+
+#: Largest payload that is fitted if the firmware does not report the payload, in kg.
+_LARGEST_PAYLOAD = 10.0
 
 
 def _currents(evidence: Evidence) -> Measured:
@@ -210,14 +240,136 @@ def _currents(evidence: Evidence) -> Measured:
             continue
         tried += 1
         ratio = current[joint] * constants[joint] / moment[joint]
-        if not 0.25 < ratio < 4.0:
-            said = f"is {ratio:.3g} times the current of the parameter torque_constant ({constants[joint]:g} Nm/A)"
+        if not 1.0 / _CONSTANTS < ratio < _CONSTANTS:
+            said = f"is {ratio:.3g} times as large as with torque_constant, {constants[joint]:g} Nm/A"
             if ratio < 0.0:
                 said = "has the opposite direction"
-            wrong.append(f"joint {joint + 1}: {current[joint]:.3f} A at {moment[joint]:.2f} Nm {said}")
+            wrong.append(f"I_target of joint {joint + 1}: {current[joint]:.3f} A at {moment[joint]:.2f} Nm {said}")
+    (actual,) = _wanted(evidence, "I_actual")
+    actual = actual[stands].mean(axis=0)
+    heavy = np.abs(moment) >= _HEAVY
+    if heavy.any():
+        slope = float(np.sum(actual[heavy] * current[heavy]) / max(float(np.sum(current[heavy] ** 2)), 1e-12))
+        # Static friction carries up to half of the weight, so the actual current can be much smaller.
+        if not 0.4 < slope < _CONSTANTS:
+            how = how_different(current, actual)
+            how = how if "sign" in how else f"impossible torque constants, {how}"
+            wrong.append(f"I_actual is {slope:.3g} times I_target at rest: {how}")
     if not tried:
         raise NotTried(f"no joint holds {_HEAVY:g} Nm in this posture")
     return counted(wrong, f"{tried} joints: {np.round(current, 2).tolist()} A at {np.round(moment, 1).tolist()} Nm")
+
+
+#: Measured quantities that have noise on every arm, and quantities that are suspicious if all six joints have the same
+#: value.
+_NOISY, _UNEQUAL = ("q_actual", "I_actual"), ("q_actual", "I_actual", "motor_temperatures", "V_actual")
+#: Duration in s after which a constant measurement is suspicious.
+_CONSTANT = 1.5
+
+
+def _alive(evidence: Evidence) -> Measured:
+    stands = _stands(evidence)
+    times = moments("realtime", evidence.realtime)[stands]
+    if evidence.firmware is None or evidence.firmware.is_cb2:
+        raise NotTried("the noise of a CB2 is unknown")
+    if times[-1] - times[0] < _CONSTANT:
+        raise NotTried(f"the arm was at rest for less than {_CONSTANT:g} s")
+    still, tried, wrong = [], 0, []
+    for name in dict.fromkeys((*_NOISY, *_UNEQUAL)):
+        values = _column(evidence, name)
+        if values is None:
+            continue
+        tried += 1
+        values = values[stands]
+        is_constant = not np.ptp(values, axis=0).any()
+        if is_constant and name in _NOISY:
+            still.append(name)
+        if is_constant and name in _UNEQUAL and not np.ptp(values[0]):
+            wrong.append(f"{name}: six identical constants, {values[0, 0]:g}")
+    # If no measurement has noise, the arm is simulated without noise, and this is not a defect.
+    if len(still) < len(_NOISY):
+        frozen = (f"{name} is frozen: it never changes, although other measurements have noise" for name in still)
+        wrong = [*frozen, *(each for each in wrong if each.partition(":")[0] not in still)]
+    return counted(wrong, f"{tried} measurements change from cycle to cycle, or from joint to joint")
+
+
+def _flags(evidence: Evidence) -> Measured:
+    if evidence.firmware is None or evidence.firmware.is_cb2:
+        raise NotTried("the flags of CB2 are not compared")
+    wrong, tried = [], 0
+    for name in ("primary", "secondary"):
+        runs: dict[str, int] = {}
+        for state in getattr(evidence, name).states:
+            mode, board = state.robot_mode_data, state.masterboard_data
+            if mode is None or board is None or board.safety_mode is None:
+                continue
+            tried += 1
+            is_on = int(mode.robot_mode) >= int(RobotMode.IDLE)
+            is_emergency = board.safety_mode in _EMERGENCIES
+            is_protective = board.safety_mode == SafetyMode.PROTECTIVE_STOP
+            differs = {
+                f"is_power_on is {mode.is_power_on}": (is_on and not mode.is_power_on)
+                or (mode.robot_mode == RobotMode.POWER_OFF and mode.is_power_on),
+                f"is_robot_connected is {mode.is_robot_connected}": is_on and not mode.is_robot_connected,
+                f"is_emergency_stopped is {mode.is_emergency_stopped}": mode.is_emergency_stopped != is_emergency,
+                f"is_protective_stopped is {mode.is_protective_stopped}": (
+                    is_protective and not mode.is_protective_stopped
+                )
+                or (board.safety_mode == SafetyMode.NORMAL and mode.is_protective_stopped),
+            }
+            for text, is_wrong in differs.items():
+                runs[text] = runs.get(text, 0) + 1 if is_wrong else 0
+                # A flag may change one state later than its mode.
+                if runs[text] == 2:
+                    modes = f"robot_mode {mode.robot_mode.name} and safety_mode {board.safety_mode.name}"
+                    wrong.append(f"{name} {text} with {modes}")
+    if not tried:
+        raise NotTried("no robot state with modes arrived")
+    return counted(list(dict.fromkeys(wrong)), f"the flags of {tried} robot states agree with their modes")
+
+
+_EMERGENCIES = (SafetyMode.SYSTEM_EMERGENCY_STOP, SafetyMode.ROBOT_EMERGENCY_STOP)
+
+
+def _tcp_speed(evidence: Evidence) -> Measured:
+    known, _ = known_arm(evidence)
+    tcp = _first_tcp(evidence)
+    begin, end = evidence.stage(2)[0], evidence.stage(3)[0]
+    begin = min(begin, end)
+    packets = evidence.realtime.between(begin, np.inf)
+    if len(packets.states) < 100:
+        raise NotTried("no joint moved")
+    wrong, seen = [], []
+    for speed, q, qd in (("tcp_speed_actual", "q_actual", "qd_actual"), ("tcp_speed_target", "q_target", "qd_target")):
+        columns = [packets.column(lambda state, n=n: getattr(state, n)) for n in (speed, q, qd)]  # type: ignore[misc]
+        if any(each is None for each in columns):
+            continue
+        v, at, rates = (each for each in columns if each is not None)
+        moving = np.flatnonzero(np.abs(rates).max(axis=1) > _MOVES)
+        moving = moving[:: max(len(moving) // 2000, 1)]
+        if len(moving) < 20:
+            continue
+        expected = known.kinematics.velocity(at[moving], rates[moving], tcp)
+        size = float(np.sqrt(np.mean(expected**2)))
+        # The median is robust to single states at the ends of a motion.
+        apart = float(np.median(np.abs(expected - v[moving]).max(axis=1)) / size)
+        seen.append(f"{speed}: {apart:.2%}")
+        if apart > _FRAME:
+            turned = abs(np.linalg.norm(v[moving]) / np.linalg.norm(expected) - 1.0) < _FRAME
+            still = not np.ptp(v[moving], axis=0).any()
+            how = "it is frozen" if still else how_different(expected.ravel(), v[moving].ravel())
+            how = "it is in another frame or order" if how == "other values" and turned else how
+            ratio = float(np.sum(v[moving] * expected) / np.sum(expected**2))
+            wrong.append(
+                f"{speed} differs from the Jacobian times {qd} by {apart:.0%}: {how}, {ratio:.3g} times as much"
+            )
+    if not seen:
+        raise NotTried("no joint moved, or this firmware does not report the speed of the TCP")
+    return counted(wrong, f"equal to the Jacobian times the joint speeds: {', '.join(seen)}")
+
+
+#: Relative difference of two speeds of the TCP above which they count as different.
+_FRAME = 0.2
 
 
 def _accelerometer(evidence: Evidence) -> Measured:
@@ -227,10 +379,38 @@ def _accelerometer(evidence: Evidence) -> Measured:
     (acceleration,) = _wanted(evidence, "tool_accelerometer")
     mean = acceleration[stands].mean(axis=0)
     size = float(np.linalg.norm(mean))
-    return Measured(abs(size - _GRAVITY), f"{size:.2f} m/s² along {np.round(mean / max(size, 1e-9), 2).tolist()}")
+    if evidence.firmware.is_e_series and (expected := _upright(evidence)) is not None:
+        apart = mean - expected
+        how = f": {how_different(expected, mean)}" if np.linalg.norm(apart) > 2.0 else ""
+        seen = f"tool_accelerometer {np.round(mean, 2).tolist()}; expected {np.round(expected, 2).tolist()} m/s²{how}"
+        return Measured(float(np.linalg.norm(apart)), f"{size:.2f} m/s²: {seen}")
+    return Measured(abs(size - GRAVITY), f"{size:.2f} m/s² along {np.round(mean / max(size, 1e-9), 2).tolist()}")
+
+
+def _upright(evidence: Evidence) -> NDArray[np.float64] | None:
+    """Return the mean acceleration that a tool at rest measures, shape (3,), in m/s²; None if the arm might be tilted.
+
+    The arm counts as upright if the target moments agree with the gravity torques of the published masses.
+    """
+    try:
+        stands = _stands(evidence)
+        known, _ = known_arm(evidence)
+        q, moment = _wanted(evidence, "q_target", "M_target")
+    except NotTried:
+        return None
+    at = np.flatnonzero(stands)[:: max(int(stands.sum()) // 50, 1)]
+    weight = np.array([Dynamics(known.kinematics).gravity_torque(q[n]) for n in at])
+    if np.abs(weight).max() < _HEAVY or float(np.sum(weight * moment[at])) < 0.5 * float(np.sum(weight**2)):
+        return None
+    turned = [poses.rotvec_to_matrix(known.kinematics.forward(q[n])[3:])[2] for n in at]
+    mean: NDArray[np.float64] = GRAVITY * np.mean(turned, axis=0)
+    return mean
 
 
 PHYSICS: Mapping[str, Check] = {
+    "values-live": _alive,
+    "flags": _flags,
+    "tcp-speed": _tcp_speed,
     "values-possible": _possible,
     "modes-known": _modes,
     "tracking": _tracking,

@@ -6,6 +6,7 @@ Verdicts depend only on the evidence: the same evidence results in the same verd
 from __future__ import annotations
 
 import html
+import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,18 +17,30 @@ from urlink.tools import Progress, printable, unseen
 
 from .agreement import AGREEMENT
 from .arrivals import ARRIVALS
+from .causes import likely_causes
 from .evidence import Evidence
 from .listening import ANSWERS
-from .obedience import OBEDIENCE
+from .obedience import HELD_UP, OBEDIENCE
 from .physics import PHYSICS
+from .plots import plots
+from .reactions import REACTIONS
 from .requirements import Check, NotTried, Requirement
 from .swings import SWINGS
 from .wrist import WRIST_CHECKS
 
 State = Literal["held", "not held", "not tried"]
 
-#: Requirement -> its check.
-CHECKS: Mapping[str, Check] = {**ARRIVALS, **AGREEMENT, **PHYSICS, **ANSWERS, **OBEDIENCE, **WRIST_CHECKS, **SWINGS}
+#: Checks of the requirements. The keys are the names of the requirements.
+CHECKS: Mapping[str, Check] = {
+    **ARRIVALS,
+    **AGREEMENT,
+    **PHYSICS,
+    **ANSWERS,
+    **OBEDIENCE,
+    **REACTIONS,
+    **WRIST_CHECKS,
+    **SWINGS,
+}
 
 
 @dataclass(frozen=True)
@@ -36,10 +49,10 @@ class Verdict:
 
     Attributes:
         requirement: Requirement with its limit.
-        state: Whether it is held.
-        value: Measured value, in the unit of the limit; None if it was not tried.
-        seen: Description of the result, or the reason why it was not tried.
-        contradicts: Refuted parameters, each with the measured value.
+        state: Result: "held", "not held" or "not tried".
+        value: Measured value, in the unit of the limit; None if the requirement was not tried.
+        seen: Description of the result, or the reason why the requirement was not tried.
+        contradicts: Parameters that the result contradicts, each with the measured value.
     """
 
     requirement: Requirement
@@ -70,11 +83,36 @@ def _verdict(
     except NotTried as reason:
         return Verdict(required, "not tried", None, str(reason))
     except BadValue as error:
-        # For example a position that is not a number; another requirement reports it.
+        # The evidence is invalid, for example because a position is not a number. Another requirement reports this.
         return Verdict(required, "not tried", None, f"it cannot be judged: {error}")
-    # Do not write "greater than": a value that is not a number must not be held.
+    if not found.value <= required.limit and (late := evidence.delay(*_judged(required, evidence))) > HELD_UP:
+        return Verdict(
+            required, "not tried", None, f"this computer was busy: it was delayed by {late * 1e3:.0f} ms; {found.seen}"
+        )
+    # Compare with <= and not with >, so that a value of NaN is not held.
     return Verdict(required, "held" if found.value <= required.limit else "not held", *found)
 
+
+#: Steps that a requirement of stage 1 or 2 judges, if the steps have other names than the requirement.
+_STEPS: Mapping[str, tuple[str, ...]] = {
+    "texts": ("sleep",),
+    "program-state": ("sleep",),
+    "move-arrives": ("move",),
+    "slider-scales": ("move",),
+    "follow-scales": ("follow-100", "follow-50", "follow-10"),
+}
+
+
+def _judged(required: Requirement, evidence: Evidence) -> tuple[float, float]:
+    """Return the time span of the step that a requirement judges; an empty span if it judges no step."""
+    notes = [note.at for step in _STEPS.get(required.name, (required.name,)) for note in evidence.said(step)]
+    if required.name in _ARRIVES:
+        return next((note.at for note in evidence.said("listening")), math.inf), evidence.stage(0)[1]
+    return (min(notes), max(notes)) if notes and required.stage in (1, 2) else (math.inf, -math.inf)
+
+
+#: Requirements of stage 0 about the times of arrival.
+_ARRIVES = ("realtime-jitter", "rtde-jitter", "rtde-fresh", "primary-fresh", "realtime-missed")
 
 _WIDTH = 100
 _TITLE = "Acceptance of a controller with urlink"
@@ -91,8 +129,11 @@ def is_accepted(verdicts: Sequence[Verdict]) -> bool:
     return any(each.state == "held" for each in verdicts) and all(each.state != "not held" for each in verdicts)
 
 
-def _about(evidence: Evidence, site: Mapping[str, Any], digest: str) -> Iterator[tuple[str, str]]:
+def _about(evidence: Evidence, site: Mapping[str, Any], digest: str, address: str) -> Iterator[tuple[str, str]]:
     about, known = evidence.last("about") or {}, evidence.identity
+    if "address" in about:
+        # In a bundle, a network address is overwritten with x.
+        yield "address", address or about["address"]
     if "wall" in about:
         yield "date", time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(about["wall"]))
     if known is not None:
@@ -104,6 +145,21 @@ def _about(evidence: Evidence, site: Mapping[str, Any], digest: str) -> Iterator
         yield f"stage {note.said['number']}", f"ended early: {note.said['error']}"
     if digest:
         yield "evidence", f"sha256 {digest}"
+
+
+def _is_simulated(evidence: Evidence) -> bool:
+    return bool((evidence.last("about") or {}).get("simulated"))
+
+
+def _failed(verdicts: Sequence[Verdict]) -> Iterator[str]:
+    """Yield the lines about the requirements that are not held: the likely causes, and all names."""
+    yield from (
+        f"Likely cause: {cause}" if not number else f"Also: {cause}"
+        for number, cause in enumerate(likely_causes(verdicts))
+    )
+    broken = [each.requirement.name for each in verdicts if each.state == "not held"]
+    if broken:
+        yield f"NOT HELD: {', '.join(broken)}"
 
 
 def _result(verdicts: Sequence[Verdict]) -> str:
@@ -119,10 +175,15 @@ def _measured(each: Verdict) -> str:
     return f"{each.value:.4g}{unit} of at most {each.requirement.limit:g}{unit}"
 
 
-def as_text(evidence: Evidence, verdicts: Sequence[Verdict], site: Mapping[str, Any], digest: str = "") -> str:
-    """Return the page as text. It depends only on the evidence, the limits and the site."""
+def as_text(
+    evidence: Evidence, verdicts: Sequence[Verdict], site: Mapping[str, Any], digest: str = "", address: str = ""
+) -> str:
+    """Return the page as text. The page depends only on the evidence, the limits, the site and the address."""
     lines = [_TITLE, "=" * len(_TITLE), ""]
-    lines += [f"{name:12} {printable(value)}" for name, value in _about(evidence, site, digest)]
+    if _is_simulated(evidence):
+        lines += [f"{' SIMULATED ARM ':*^{_WIDTH}}", ""]
+    lines += [_result(verdicts), *map(printable, _failed(verdicts)), ""]
+    lines += [f"{name:12} {printable(value)}" for name, value in _about(evidence, site, digest, address)]
     stage = None
     for each in verdicts:
         if each.requirement.stage != stage:
@@ -135,7 +196,7 @@ def as_text(evidence: Evidence, verdicts: Sequence[Verdict], site: Mapping[str, 
         if each.state == "not held":
             lines.append(f"           measured: {each.requirement.what}")
             lines.append(f"           required because {each.requirement.why} ({each.requirement.source})")
-    lines += ["", "-" * _WIDTH, _result(verdicts), "", _SCOPE, ""]
+    lines += ["", "-" * _WIDTH, _SCOPE, ""]
     lines += [f"{name:14}{'_' * 50}\n" for name in _SIGNED]
     return "\n".join(lines)
 
@@ -146,25 +207,32 @@ table { border-collapse: collapse; width: 100%; margin: 1em 0; font-size: 10pt; 
 th, td { text-align: left; vertical-align: top; padding: .25em .6em; border-bottom: 1px solid #ddd; }
 .held { color: #1a6b2d; } .not-held { color: #b00020; font-weight: bold; } .not-tried { color: #777; }
 .sign td { height: 2.5em; border-bottom: 1px solid #222; }
+figure { margin: 1em 0; } figcaption { font-size: 10pt; }
+.simulated { position: fixed; inset: 0; display: flex; align-items: center; justify-content: center; font-size: 12vw;
+  font-weight: bold; color: #b00020; opacity: .15; transform: rotate(-30deg); pointer-events: none; }
 @media print { body { margin: 0; } tr { break-inside: avoid; } }
 """
 
 
-def as_html(evidence: Evidence, verdicts: Sequence[Verdict], site: Mapping[str, Any], digest: str = "") -> str:
-    """Return the page as HTML without external resources. It depends only on the evidence, the limits and the site."""
+def as_html(
+    evidence: Evidence, verdicts: Sequence[Verdict], site: Mapping[str, Any], digest: str = "", address: str = ""
+) -> str:
+    """Return the page as HTML without external resources. The page depends only on the arguments."""
 
     def cell(text: object) -> str:
         return f"<td>{html.escape(printable(text))}</td>"
 
-    about = _about(evidence, site, digest)
+    about = _about(evidence, site, digest, address)
     head = "".join(f"<tr><th>{html.escape(name)}</th>{cell(value)}</tr>" for name, value in about)
     rows = "".join(_row(each, cell) for each in verdicts)
+    mark = '<div class="simulated">SIMULATED</div>\n' if _is_simulated(evidence) else ""
+    failed = "".join(f'<p class="not-held">{html.escape(printable(line))}</p>\n' for line in _failed(verdicts))
     sign = "".join(f"<tr><th>{name}</th><td></td></tr>" for name in _SIGNED)
     titles = "".join(f"<th>{name}</th>" for name in ("stage", "requirement", "verdict", "measured", "seen", "limit"))
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{_TITLE}</title>'
-        f"<style>{_STYLE}</style></head><body>\n<h1>{_TITLE}</h1>\n<table>{head}</table>\n"
-        f"<p><strong>{_result(verdicts)}</strong></p>\n<table><tr>{titles}</tr>{rows}</table>\n"
+        f"<style>{_STYLE}</style></head><body>\n{mark}<h1>{_TITLE}</h1>\n"
+        f"<p><strong>{_result(verdicts)}</strong></p>\n{failed}<table>{head}</table>\n{plots(evidence)}<table><tr>{titles}</tr>{rows}</table>\n"
         f'<p>{_SCOPE}</p>\n<table class="sign">{sign}</table>\n</body></html>\n'
     )
 

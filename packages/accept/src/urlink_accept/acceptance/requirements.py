@@ -1,9 +1,9 @@
 """Requirement files: requirements with their limits, reasons, and the sources of the limits.
 
 The files are TOML, limited to tables, strings, numbers, true and false. Each value is on one line and is written as in
-JSON. `tomllib` can read the files too, but Python 3.10 does not have it. Your own file changes limits by the names of
-the requirements, and describes the cell in a table `site`. Checks of the evidence compare their measurements with the
-limits.
+JSON. `tomllib` can read the files too, but Python 3.10 does not have it. In your own file, you can change the limits of
+requirements that you name, and describe the cell in a table `site`. The checks of the evidence compare measured values
+with the limits.
 """
 
 from __future__ import annotations
@@ -17,7 +17,10 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from urlink import BadValue
+from urlink.tools import FloatArray
 
 if TYPE_CHECKING:
     from .evidence import Evidence
@@ -37,9 +40,9 @@ class Requirement:
 
     Attributes:
         name: Name, used in tests, reports and your own files.
-        stage: Stage of the test that tries it.
+        stage: Stage of the test that tries the requirement.
         what: Description of the measured value.
-        limit: Largest value that is held.
+        limit: Largest measured value with which the requirement is held.
         unit: Unit of the limit; "" for a count or a ratio.
         why: Reason for the requirement.
         source: Source of the limit.
@@ -60,7 +63,7 @@ class Measured(NamedTuple):
     Attributes:
         value: Measured value, which is compared with the limit.
         seen: Description of the result.
-        contradicts: Parameters of `urlink.arm.parameters` that the result refutes, each with the measured value.
+        contradicts: Parameters of `urlink.arm.parameters` that the result contradicts, each with the measured value.
     """
 
     value: float
@@ -70,6 +73,33 @@ class Measured(NamedTuple):
 
 class NotTried(Exception):
     """Raised if the evidence contains nothing to judge. The message is the reason."""
+
+
+def how_different(expected: FloatArray, measured: FloatArray) -> str:
+    """Return a description of the likely difference of a measured vector from an expected one, within 20 %.
+
+    >>> how_different(np.array([1.0, 4.0]), np.array([-1.0, -4.1]))
+    'its sign is inverted'
+    >>> how_different(np.array([1.0, 4.0]), np.array([2000.0, 8000.0]))
+    'it is 2e+03 times as large'
+    """
+    size = float(np.linalg.norm(expected))
+
+    def near(other: FloatArray) -> bool:
+        return float(np.linalg.norm(expected - other)) < 0.2 * size
+
+    if size < 1e-9:
+        return "other values"
+    if not np.any(measured):
+        return "it is zero"
+    if near(-measured):
+        return "its sign is inverted"
+    ratio = float(expected @ measured) / size**2
+    if abs(ratio) > 1e-6 and near(measured / ratio):
+        return f"it is {ratio:.3g} times as large"
+    if near(np.sort(measured) - np.sort(expected) + expected):
+        return "its components are in another order"
+    return "other values"
 
 
 Check = Callable[["Evidence"], Measured]
@@ -117,7 +147,7 @@ def written(requirements: Mapping[str, Requirement], site: Mapping[str, Any]) ->
 
 
 def from_file(path: Path) -> tuple[Mapping[str, Requirement], Mapping[str, Any]]:
-    """Return the requirements with the changes of your own file, and its table `site`, empty if the file has none.
+    """Return the requirements with the changes of your own file, and the table `site` of the file, which can be empty.
 
     Raises:
         BadValue: If the file cannot be read, is not a requirement file, or names a requirement that does not exist.
@@ -132,8 +162,8 @@ def from_file(path: Path) -> tuple[Mapping[str, Requirement], Mapping[str, Any]]
     for name, table in tables.items():
         if name not in found:
             raise BadValue(f"{path}: unknown requirement {name!r}; expected one of {', '.join(found)}")
-        if not table.keys() <= set(_OWN):
-            raise BadValue(f"{path}: [{name}] has {', '.join(table)}; your own file can change {', '.join(_OWN)}")
+        if wrong := [key for key in table if key not in _OWN]:
+            raise BadValue(f"{path}: [{name}] sets {', '.join(wrong)}; your own file can set only {', '.join(_OWN)}")
         limit = table.get("limit", 0.0)
         if isinstance(limit, bool) or not isinstance(limit, int | float) or not 0 <= limit < math.inf:
             raise BadValue(f"{path}: [{name}] has limit = {limit!r}; expected a number of 0 or more")

@@ -1,4 +1,4 @@
-"""Run of the test: the stages one after the other, each with consent, with a complete logbook."""
+"""Run of the test. The stages run one after the other, each only with consent, and are recorded in a logbook."""
 
 from __future__ import annotations
 
@@ -12,17 +12,21 @@ from pathlib import Path
 import numpy as np
 
 from linkcore import clock
-from urlink import BadValue, LinkError, connect
+from urlink import BadValue, LinkError, Robot, connect
 from urlink.tools import RecordingAddress, SimulatorAddress, local_address, parse_address, simulated
 
+from .causes import refuted_positions
+from .evidence import Evidence, Note
 from .listening import listen
 from .logbook import Logbook
 from .moving import move
 from .person import Nobody, OfTheSimulator, Person, is_held_by
+from .report import judge
+from .requirements import requirements
 from .standing import stand
 from .swings import swing
 
-#: Action of each stage, used to ask for consent.
+#: Description of the action of each stage, used to ask for consent.
 STAGES: Mapping[int, str] = {
     0: "only reads: connects to every interface, listens, and sends queries that change nothing",
     1: "moves nothing: sets slider, TCP and payload and restores them, runs programs that sleep",
@@ -31,8 +35,8 @@ STAGES: Mapping[int, str] = {
     "the dead-man switch must be held, and a person must stand at the emergency stop",
 }
 
-#: Usual duration of each stage in s; stage 0 also listens.
-_USUAL: Mapping[int, float] = {0: 1.0, 1: 10.0, 2: 56.0, 3: 62.0}
+#: Usual duration of each stage, in s. The time to listen is added to stage 0.
+_USUAL: Mapping[int, float] = {0: 1.0, 1: 38.0, 2: 56.0, 3: 62.0}
 
 
 def run(
@@ -45,6 +49,8 @@ def run(
     dead_man: int | None = None,
     seconds: float = 10.0,
     timeout: float = 5.0,
+    reverse_host: str | None = None,
+    reverse_peer: str | None = None,
     progress: Callable[[float, str], object] = lambda part, doing: None,
 ) -> tuple[str, ...]:
     """Run stages against a controller.
@@ -54,17 +60,19 @@ def run(
         path: Path of the logbook, a file that does not exist yet.
         stages: Numbers of the stages, in this order.
         consent: Function that is called before each stage, and before each joint of stage 3, with the number of the
-            stage and its action. It returns the reason why the stage may not run, or "".
+            stage and its action. The function returns the reason why the stage may not run, or "".
         person: Person for actions that no program can do. If None, no person is present; for a simulated arm, a
             stand-in acts immediately.
         dead_man: Number of the digital input that is on while the arm may move in stages 2 and 3.
         seconds: Time to listen in stage 0, in s.
         timeout: Maximum time to connect, in s.
+        reverse_host: Address of this computer as seen by the robot; see `urlink.connect`.
+        reverse_peer: Source address of the robot's connections; see `urlink.connect`.
         progress: Function that is called at each step with the estimated completed fraction, 0 to 1, and a description
             of the step.
 
     Returns:
-        Texts in the logbook that show its location: the addresses of both sides.
+        Texts in the logbook that reveal the place of the test: the addresses of the robot and of this computer.
 
     Raises:
         BadAddress: If the address is invalid.
@@ -74,15 +82,15 @@ def run(
     """
     place = parse_address(address)
     if isinstance(place, RecordingAddress):
-        raise BadValue(f"{address} is a recording; expected a running controller, or --replay with a bundle")
+        raise BadValue(f"{address} is a recording; expected the address of a controller, or --replay with a bundle")
     controller = None
     if isinstance(place, SimulatorAddress):
         controller, place = simulated(place)
         person = person or OfTheSimulator(controller)
     try:
         with Logbook(path, place.ports, _Pace(stages, seconds, progress).noted) as book:
-            _about(book)
-            with connect(str(place), timeout=timeout) as robot:
+            _about(book, address, controller is not None or _is_loopback(place.host))
+            with connect(str(place), timeout=timeout, reverse_host=reverse_host, reverse_peer=reverse_peer) as robot:
                 book.note("identity", said_so=robot.identity.said_so, **robot.identity.description())
                 person = person or Nobody()
                 begin: dict[int, Callable[[], None]] = {
@@ -93,12 +101,33 @@ def run(
                 }
                 ended = ""
                 for number in stages:
-                    refused = consent(number, STAGES[number]) or ended
+                    # The guard uses the positions to decide when to stop the arm, so nothing may move if they are
+                    # wrong.
+                    wrong = _wrong_positions(robot, path) if number >= _MOVES else ""
+                    refused = wrong or consent(number, STAGES[number]) or ended
                     ended = _run_stage(number, begin[number], refused, book) or ended
         return (place.host, local_address(place.host))
     finally:
         if controller is not None:
             controller.close()
+
+
+#: First stage that moves the arm, and time in s to listen to its positions if stage 0 was not requested.
+_MOVES, _LISTENED = 2, 3.0
+
+
+def _wrong_positions(robot: Robot, path: Path) -> str:
+    """Return the reason why the joint positions are wrong, according to the evidence so far; "" if there is none."""
+    robot.realtime.wait(5.0)
+    evidence = Evidence(path)
+    if not evidence.said("stage"):
+        # Stage 0 was not requested, so listen now.
+        clock.sleep(_LISTENED)
+        evidence = Evidence(path)
+        evidence.notes.append(Note(0.0, "stage", {"number": 0}))
+    positions = {name: each for name, each in requirements().items() if each.stage == 0}
+    why = refuted_positions(judge(evidence, positions))
+    return f"the joint positions cannot be trusted, because {why}" if why else ""
 
 
 class _Pace:
@@ -113,7 +142,7 @@ class _Pace:
         self._begun = 0.0
 
     def noted(self, step: str) -> None:
-        """Process the beginning of a step; "stage" begins the next stage."""
+        """Process the beginning of a step. The step "stage" begins the next stage."""
         if step == "stage" and self._left:
             self._stage, self._begun = self._left.pop(0), clock.now()
         if self._stage is None:
@@ -124,7 +153,7 @@ class _Pace:
 
 
 def _run_stage(number: int, begin: Callable[[], None], refused: str, book: Logbook) -> str:
-    """Run a stage unless it is refused. If it ends early, return this with the reason; otherwise return ""."""
+    """Run a stage unless it is refused. Return a message with the reason if it ends early, otherwise ""."""
     if refused:
         book.note("stage", number=number, refused=refused)
         return ""
@@ -137,7 +166,12 @@ def _run_stage(number: int, begin: Callable[[], None], refused: str, book: Logbo
     return ""
 
 
-def _about(book: Logbook) -> None:
+def _is_loopback(host: str) -> bool:
+    """Return whether a host is this computer. A controller on this computer is a simulator."""
+    return host == "localhost" or host == "::1" or host.startswith("127.")
+
+
+def _about(book: Logbook, address: str, is_simulated: bool) -> None:
     try:
         version = importlib.metadata.version("urlink-robot")
     except importlib.metadata.PackageNotFoundError:
@@ -145,6 +179,8 @@ def _about(book: Logbook) -> None:
     book.note(
         "about",
         wall=time.time(),
+        address=address,
+        simulated=is_simulated,
         urlink=version,
         python=platform.python_version(),
         numpy=np.__version__,

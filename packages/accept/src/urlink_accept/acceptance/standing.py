@@ -6,36 +6,42 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from linkcore import clock
-from urlink import CompileError, Firmware, InputInUse, LinkError, Robot, RobotModeData
+from urlink import Cancelled, CompileError, Firmware, InputInUse, LinkError, Robot, RobotModeData
 from urlink.packets import CartesianInfo, TextMessage
 from urlink.rtde import INPUTS, OUTPUTS
 from urlink.tools import RobotAddress, TcpTransport, tool_offset
 
 from ..identification.exercise import SHOWS_SLIDER, slider_of
+from .dashboards import answers
 from .logbook import Logbook
 from .person import Person
 
 #: Texts of the programs of this stage, and sleep time of one program in s.
 BEGIN, END, SLEEP = "urlink accept: begins", "urlink accept: ends", 1.0
-#: Registers to write. Others may use the lower half, and this library uses the last registers.
+#: Registers to write. Other clients might use the lower half, and this library uses the last registers.
 _REGISTER = "input_int_register_46", "input_int_register_22"
 _ECHOES = 10
 #: Maximum time in s for an immediate reaction of the controller; maximum time in s for any reaction.
 _SOON, _LONG = 5.0, 20.0
-#: Time in s without reading by a client.
+#: Time in s for which a client does not read from its connection.
 _SILENT = 2.0
 #: Changes of the slider, the tool and the payload, which are restored later.
 _SLIDER, _TOOL, _PAYLOAD = 0.05, 0.001, 0.1
 _SHOWS_PAYLOAD, _SHOWS_TCP = Firmware(5, 10), Firmware(3, 2)
+#: Pause between two connections to one interface, in s; number of measured latencies; time for which a signal is kept,
+#: in s.
+PAUSE, _LATENCIES, _SWITCHED = 0.5, 5, 0.5
+#: Queries about modes.
+_MODES = ("robotmode", "safetymode", "running")
 
 Told = Mapping[str, Any]
 
 
 def stand(robot: Robot, place: RobotAddress, book: Logbook, person: Person) -> None:
-    """Try all steps that move nothing. Each step notes its result, and no step ends the others.
+    """Try all steps that move nothing. Each step notes its result. A failed step does not prevent later steps.
 
     Args:
-        robot: Robot that was connected within the logbook, in remote control if it has this mode.
+        robot: Robot that was connected while the logbook was open, in remote control if it has this mode.
         place: Address with its ports.
         book: Logbook to write to.
         person: Person who switches to local control.
@@ -53,13 +59,24 @@ def stand(robot: Robot, place: RobotAddress, book: Logbook, person: Person) -> N
         "stop-program": lambda: _stop(robot),
         "reset": lambda: _reset(robot, place),
         "silent-client": lambda: _silent(place),
+        "latency": lambda: _latency(robot),
+        "reconnect": lambda: _reconnect(robot, place),
+        "connects-back": lambda: _connects_back(robot),
+        "outputs": lambda: _outputs(robot, book, person),
+        "inputs": lambda: _inputs(robot, book, person),
+        "weight": lambda: _weight(book, person),
         "local": lambda: _local(robot, person),
+        "stop-at-rest": lambda: _stop_at_rest(robot, place, book, person),
+        "power-off": lambda: _power_off(robot, place, book, person),
     }
     try_each(book, steps)
 
 
 def try_each(book: Logbook, steps: Mapping[str, Callable[[], Told]], between: Callable[[], object] = list) -> None:
-    """Note the result or the error of each step. `between` runs after each step; its errors end all steps."""
+    """Run each step, and note its result or error.
+
+    The function `between` runs after each step. An error of `between` ends all steps.
+    """
     for name, step in steps.items():
         book.note(name, event="begin")
         try:
@@ -233,7 +250,7 @@ def _reset(robot: Robot, place: RobotAddress) -> Told:
 
 
 def _silent(place: RobotAddress) -> Told:
-    """Connect without reading."""
+    """Connect to the real-time interface, and do not read from the connection for a time."""
     transport = TcpTransport(place.host, place.ports["realtime"], silence=_SOON)
     transport.open(_SOON)
     try:
@@ -244,6 +261,127 @@ def _silent(place: RobotAddress) -> Told:
         return {"received": 0, "closed": str(error)}
     finally:
         transport.abort()
+
+
+def _reconnect(robot: Robot, place: RobotAddress) -> Told:
+    """Connect to each interface twice, with a pause in between. The bytes show whether the first state is fresh."""
+    for name in ("realtime", "primary", "secondary"):
+        for _ in range(2):
+            transport = TcpTransport(place.host, place.ports[name], silence=_SOON)
+            transport.open(_SOON)
+            until = clock.now() + 0.3
+            while clock.now() < until:
+                transport.receive(_SOON)
+            transport.abort()
+            clock.sleep(PAUSE)
+    if OUTPUTS["timestamp"].is_in(robot.firmware):
+        for _ in range(2):
+            with robot.rtde.outputs("timestamp") as stream:
+                stream.start()
+                stream.wait(_SOON)
+                clock.sleep(0.3)
+            clock.sleep(PAUSE)
+    return {}
+
+
+def _connects_back(robot: Robot) -> Told:
+    """Start a program that connects to this computer. The program gets no set-points, so it moves nothing."""
+    with robot.motion.servo():
+        return {}
+
+
+def _latency(robot: Robot) -> Told:
+    """Measure the time from sending a program to the arrival of the message that its first line sends."""
+    delays = []
+    for number in range(_LATENCIES):
+        heard: list[float] = []
+        text = f"{BEGIN} latency {number}"
+
+        def note(message: TextMessage, text: str = text, heard: list[float] = heard) -> None:
+            if message.text == text:
+                heard.append(clock.now())
+
+        with robot.primary.subscribe(note, TextMessage):
+            began = clock.now()
+            robot.script.run(f'def latency():\n  textmsg("{text}")\nend').wait(_LONG)
+            if _until(lambda heard=heard: bool(heard), _SOON):  # type: ignore[misc]
+                delays.append(heard[0] - began)
+    return {"delays": delays, "tried": _LATENCIES}
+
+
+# -- with a person -------------------------------------------------------------------------------------
+
+
+def _outputs(robot: Robot, book: Logbook, person: Person) -> Told:
+    if not person.does("outputs"):
+        return {"skipped": "no person has allowed that the outputs switch"}
+    for number in range(8):
+        before = robot.io.digital_out(number)
+        try:
+            for on in (not before, before):
+                robot.io.set_digital_out(number, on, confirm=None)
+                clock.sleep(_SWITCHED)
+                book.note("outputs", event="set", number=number, on=on)
+        finally:
+            robot.io.set_digital_out(number, before, confirm=None)
+    return {}
+
+
+def _inputs(robot: Robot, book: Logbook, person: Person) -> Told:
+    if not person.does("inputs"):
+        return {"skipped": "no person was there to switch the inputs"}
+    for number in range(8):
+        book.note("inputs", event="press", number=number)
+        if not person.does("press"):
+            return {"skipped": f"the person did not switch input {number}"}
+        clock.sleep(_SWITCHED)
+        book.note("inputs", event="pressed", number=number)
+    return {}
+
+
+def _weight(book: Logbook, person: Person) -> Told:
+    clock.sleep(_SWITCHED)
+    book.note("weight", event="told")
+    if not person.does("weight"):
+        return {"skipped": "no person was there to put a weight on the tool"}
+    book.note("weight", event="hangs")
+    clock.sleep(2.0 * _SWITCHED)
+    book.note("weight", event="hung")
+    person.does("no-weight")
+    return {}
+
+
+def _stop_at_rest(robot: Robot, place: RobotAddress, book: Logbook, person: Person) -> Told:
+    if not person.does("stop-at-rest"):
+        return {"skipped": "no person has caused a stop"}
+    clock.sleep(_SWITCHED)
+    _ask_during(robot, place, book, "stop-at-rest")
+    if not person.does("unlock"):
+        raise Cancelled("no person has unlocked the protective stop")
+    robot.safety.wait_until_clear(_LONG)
+    return {}
+
+
+def _power_off(robot: Robot, place: RobotAddress, book: Logbook, person: Person) -> Told:
+    if robot.firmware < SHOWS_SLIDER or not person.does("power-off"):
+        return {"skipped": "no person has allowed that the arm is powered off"}
+    robot.dashboard.power_off()
+    try:
+        _until(lambda: not robot.primary.of(RobotModeData).wait(_SOON).is_power_on, _SOON)
+        clock.sleep(_SWITCHED)
+        _ask_during(robot, place, book, "power-off")
+    finally:
+        robot.dashboard.start(_LONG + _LONG)
+    return {}
+
+
+def _ask_during(robot: Robot, place: RobotAddress, book: Logbook, step: str) -> None:
+    """Ask the dashboard for the modes, and note the answers together with the time for which the modes are steady."""
+    book.note(step, event="asks")
+    for asked, reply, error in answers(robot, place, _MODES):
+        book.note(step, event="answer", asked=asked, reply=reply, problem=error)
+    clock.sleep(0.2)
+    book.note(step, event="asked")
 
 
 def _local(robot: Robot, person: Person) -> Told:

@@ -1,7 +1,7 @@
 """Stage 3: each joint swings alone about its start position, to check the table of parameters.
 
-The joints swing as in `urlink exercise`, for identification. Each joint needs its own consent, which names the box that
-the arm sweeps. A guard stops any other motion.
+The joints swing as in `urlink exercise`, so that the arm can be identified. Each joint needs its own consent, which
+names the box that the arm sweeps. A guard stops any other motion.
 """
 
 from __future__ import annotations
@@ -37,12 +37,13 @@ from .evidence import Evidence
 from .logbook import Logbook
 from .requirements import Check, Measured, NotTried
 
-#: Factor of the interval of an arm's own row that gives no interval and is not for measured joints. It is the largest
-#: factor that such a row names in its source.
+#: Factor for the interval of a value in the row of an arm, if the row has no interval and the joints were not
+#: measured. The value is the largest factor that the source of such a row states.
 _FACTOR = 1.5
-#: Weight of the unexplained current of wrist 3, which is mostly friction. The model explains less of friction.
+#: Weight of the unexplained current of wrist 3. This current is mostly friction, which the model explains less well.
 _WRIST_3 = 0.1
-#: Relative tolerance at the ends of an interval, for the fit of a noise-free arm, whose interval has no width.
+#: Relative tolerance at the ends of an interval. The tolerance is needed for an arm without noise, because the fitted
+#: interval then has no width.
 _ROUNDING = 1e-6
 #: Number of digits for rounding the residual of a fit. Further digits differ between computers.
 _DIGITS = 9
@@ -56,14 +57,14 @@ def _step_of(joint: int) -> str:
 
 
 def swing(robot: Robot, book: Logbook, is_held: Callable[[RealtimeState], bool], consent: Callable[[str], str]) -> None:
-    """Let each joint swing that has consent. No joint swings after one was stopped.
+    """Let each joint swing for which there is consent. After the guard has stopped the arm, no other joint swings.
 
     Args:
-        robot: Robot that was connected within the logbook, running, and in remote control if it has this mode.
+        robot: Robot that was connected while the logbook was open, running, and in remote control if it has this mode.
         book: Logbook to write to.
-        is_held: Function that returns for a state whether the arm may move.
-        consent: Function that is called before each joint with a description of its motion. It returns the reason why
-            the joint may not swing, or "".
+        is_held: Function that takes a state, and returns whether the arm may move.
+        consent: Function that is called before each joint with a description of its motion. The function returns the
+            reason why the joint may not swing, or "".
 
     Raises:
         Cancelled: If the guard has stopped the arm, the dead-man switch is not held at the beginning, or a motion
@@ -105,7 +106,7 @@ def _does(joint: int, planned: Exercise, slider: float) -> str:
 
 
 def contradictions(found: Iterable[tuple[Parameter, Estimate]]) -> tuple[str, ...]:
-    """Return the refuted parameters: those whose interval does not overlap the measured interval."""
+    """Return the contradicted parameters: the interval of the parameter does not overlap the measured interval."""
     return tuple(
         f"{row.name}{f' of {row.of}' if row.of else ''}: measured {_text(each)}{f' {row.unit}' if row.unit else ''}; "
         f"the table has {row.low:g} to {row.high:g} ({row.evidence}: {row.source})"
@@ -120,14 +121,15 @@ def _text(each: Estimate) -> str:
 
 
 def rows_of(name: str, arm: str) -> list[Parameter]:
-    """Return the rows of a joint parameter for an arm, each with the interval of its joint."""
+    """Return the rows of a joint parameter for an arm. Each row has the interval of its joint."""
     of_size = [parameters()[name, size] for size in joint_sizes(arm)]
     own = parameters().get((name, arm))
     if own is None:
         return of_size
     found = []
     for value, size in zip(numbers(name, arm), of_size, strict=True):
-        # The interval of a size comes from measured arms. It is valid for this arm if the arm is one of them.
+        # The interval of a joint size comes from measured arms. The interval is valid for this arm if it contains the
+        # value of the arm.
         low, high = size.low or 0.0, size.high or math.inf
         if not low <= value <= high:
             low, high = value / _FACTOR, value * _FACTOR
@@ -136,13 +138,13 @@ def rows_of(name: str, arm: str) -> list[Parameter]:
 
 
 class _Swings:
-    """Recording of the joints that have swung.
+    """Recorded data of the joints that have swung.
 
     Attributes:
         joints: Numbers of the joints.
         packets: Packets of the real-time interface during the stage.
         away: Distance of each joint from its position at the beginning of the stage, shape (n, 6), in rad.
-        spans: Number of a joint -> monotonic start and end times of its swing, in s.
+        spans: Monotonic start and end times of each swing, in s. The keys are the numbers of the joints.
     """
 
     def __init__(self, evidence: Evidence) -> None:
@@ -183,20 +185,20 @@ def _alone(evidence: Evidence) -> Measured:
             seen = f"another joint by {others.max() * 1e6:.0f} µrad while the {JOINTS[joint]} swung"
             worst = Measured(float(others.max()), seen)
     if not worst.seen:
-        raise NotTried("no joint has swung")
+        raise NotTried("no joint was moved in the swing test")
     return worst
 
 
 @lru_cache(maxsize=1)
 def _identified(evidence: Evidence) -> tuple[_Swings, ArmFile]:
-    """Return the arm that the recording of the stage shows.
+    """Return the swings, and the arm that is identified from the recording of the stage.
 
     Raises:
         NotTried: If the recording cannot be evaluated. The message is the reason.
     """
     swings = _Swings(evidence)
     if not swings.joints:
-        raise NotTried("no joint has swung")
+        raise NotTried("no joint was moved in the swing test")
     _, arm = known_arm(evidence)
     columns = {}
     for ours, theirs in COLUMNS.items():
@@ -248,19 +250,22 @@ def _currents(evidence: Evidence) -> Measured:
 
 
 def _of(name: str, judged: Callable[[float], float], seen: str, *others: str) -> Check:
-    """Return a check of one identified number. `others` are identified from the same swings, and may be refuted too."""
+    """Return a check of one identified number.
+
+    The parameters `others` are identified from the same swings, and the check can contradict them too.
+    """
 
     def check(evidence: Evidence) -> Measured:
         _, found = _identified(evidence)
         (each,) = found.estimates[name]
         if not each.is_known:
-            raise NotTried(f"{name} is unknown; it needs {each.needs}")
+            raise NotTried(f"{name} cannot be determined; {each.needs} is needed")
         return Measured(abs(judged(each.value)), f"{_text(each)} {seen}", contradictions(_of_arm(found, name, *others)))
 
     return check
 
 
-#: Parameters that the noise of the sensors shows, in addition to the noise of the positions.
+#: Parameters that are identified from sensor noise, in addition to the noise of the positions.
 _NOISE = ("position_offset", "current_noise_at_rest", "current_noise", "stiction", "force_noise", "torque_noise")
 
 

@@ -20,8 +20,8 @@ from .swings import contradictions
 
 #: Speed in rad/s below which the wrist is at rest.
 _STANDS = 2e-3
-#: Time in s without a packet or a set-point after which a stream may have starved. It is half of the default watchdog
-#: of a stream, because delays add up.
+#: Time in s without a packet or a set-point after which a stream may have starved. The value is half of the default
+#: watchdog of a stream, because delays add up.
 _STARVING = 0.05
 
 
@@ -31,7 +31,8 @@ class _Moved:
     def __init__(self, evidence: Evidence, step: str) -> None:
         begin, end = span(evidence, step)
         self.said = outcome(evidence, step)
-        # A motion is aborted if this computer or the network delays its pacing. In `frozen`, this is intended.
+        # A motion is aborted if this computer or the network delays its set-points. In the step `frozen`, this is
+        # intended.
         self.messages = _messages(evidence, begin, end)
         gap = max(held_up(evidence, step), float(np.diff([*self.messages, end]).max()) if self.messages else 0.0)
         if self.error and step != "frozen" and gap > _STARVING:
@@ -54,22 +55,22 @@ class _Moved:
 
     @property
     def answered(self) -> float:
-        """Fraction of the states between set-points that were answered with one; 1 if none were sent."""
+        """Number of set-points divided by the number of states in the same time; 1 if no set-points were sent."""
         if not self.messages:
             return 1.0
         there = (self.arrived >= self.messages[0]) & (self.arrived <= self.messages[-1])
         return len(self.messages) / max(int(there.sum()), 1)
 
     def far(self) -> float:
-        """Return the distance from the goal at the end, in rad."""
+        """Return the largest distance of a joint from the goal at the end, in rad."""
         return float(np.abs(self.q[-1] - np.array(self.said["goal"])).max())
 
     def stood(self) -> tuple[float, float]:
-        """Return the time until the wrist was at rest, and its time at rest, in s by the controller's clock."""
+        """Return the time until the wrist was at rest, and its time at rest, in s of the clock of the controller."""
         after = self.arrived >= self.told["told"]
         some = after & (self.arrived <= self.told.get("undone", math.inf))
         if not some.any():
-            raise NotTried("no packet of the real-time interface arrived after it")
+            raise NotTried("no packet of the real-time interface arrived after the command")
         moving = np.flatnonzero(some & (self.speed > _STANDS))
         first = int(np.argmax(after))
         last = int(moving[-1]) if len(moving) else first
@@ -142,9 +143,9 @@ def _stops(step: str) -> Check:
             took -= WATCHDOG
             after = f" after the watchdog of {WATCHDOG} s"
         if stood <= 0.1:
-            return Measured(math.inf, f"it still moved {took:.2f} s{after}")
+            return Measured(math.inf, f"the wrist still moved {took:.2f} s{after}")
         if "undone" in moved.told and moved.far() > 2e-3:
-            return Measured(math.inf, f"it did not continue to its goal: {moved.far():.4f} rad away")
+            return Measured(math.inf, f"the wrist did not continue to its goal, and is {moved.far():.4f} rad away")
         if step == "protective-stop" and not moved.said.get("ended"):
             return Measured(math.inf, "the motion did not fail with SafetyStop")
         return Measured(max(took, 0.0), f"at rest after {took * 1e3:+.0f} ms{after}")

@@ -23,10 +23,16 @@ from ..acceptance.requirements import from_file, requirements
     "test a controller and store the evidence",
     *address("?"),
     argument(
-        "--stage", type=int, action="append", choices=list(stages.STAGES), help="run this stage; repeatable (all)"
+        "--stage",
+        type=int,
+        action="append",
+        choices=list(stages.STAGES),
+        help="stage to run; can be repeated (default: all)",
     ),
     argument("--yes", action="store_true", help="consent to the stages given by --stage"),
     argument("--dead-man", type=int, choices=range(8), metavar="N", help="move only while digital input N is on"),
+    argument("--reverse-host", metavar="HOST", help="address of this computer as seen by the robot, for set-points"),
+    argument("--reverse-peer", metavar="HOST", help="source address of the robot's connections (default: its own)"),
     argument("--duration", type=seconds, default=10.0, metavar="S", help="listen for S seconds (default: 10)"),
     argument("--requirements", metavar="FILE", help="use the limits and the description of the cell in FILE (TOML)"),
     argument("--bundle", metavar="FILE", help="save the evidence in this new file, a ZIP archive"),
@@ -36,10 +42,10 @@ from ..acceptance.requirements import from_file, requirements
 def run(args: argparse.Namespace) -> int:
     """Test a controller together with this library, and print a page that can be signed.
 
-    Stage 0 only reads, stage 1 moves nothing, stage 2 MOVES wrist 3 by some degrees, and stage 3 MOVES each joint
-    alone by 17 degrees to either side. Each stage, and each joint of stage 3, needs your consent. --yes gives it for
-    the stages given by --stage; a simulated arm needs none. Each requirement gets a verdict: held, NOT HELD, or not
-    tried, with the reason. The exit status is 0 if all tried requirements are held.
+    Stage 0 only reads, stage 1 moves nothing, stage 2 MOVES wrist 3 by a few degrees, and stage 3 MOVES each joint
+    alone by 17 degrees to either side. Each stage, and each joint of stage 3, needs your consent. --yes gives this
+    consent for the stages that --stage names. A simulated arm needs no consent. Each requirement gets a verdict: held,
+    NOT HELD, or not tried, with the reason. The exit status is 0 if all tried requirements are held.
 
     examples:
       urlink accept sim://ur5e
@@ -85,6 +91,8 @@ def _test(args: argparse.Namespace, logbook: Path, bundle: Path) -> None:
             dead_man=args.dead_man,
             seconds=args.duration,
             timeout=args.connect_timeout,
+            reverse_host=args.reverse_host,
+            reverse_peer=args.reverse_peer,
             progress=progress,
         )
         progress.next("packing the evidence")
@@ -98,9 +106,9 @@ def _page(path: Path, args: argparse.Namespace) -> int:
             bundle = stack.enter_context(opened(path))
             progress.next("judging the evidence")
             verdicts = judge(bundle.evidence, bundle.requirements, progress)
-        print(report.as_text(bundle.evidence, verdicts, bundle.site, bundle.digest))
+        print(report.as_text(bundle.evidence, verdicts, bundle.site, bundle.digest, args.address or ""))
         if to is not None:
-            page = report.as_html(bundle.evidence, verdicts, bundle.site, bundle.digest)
+            page = report.as_html(bundle.evidence, verdicts, bundle.site, bundle.digest, args.address or "")
             try:
                 Path(to).write_text(page, encoding="utf-8")
             except OSError as error:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from urlink.tools import ADDRESS, ProgressBar, agrees, argument, command, connected, seconds, tell
+from urlink.tools import ADDRESS, ProgressBar, agrees, argument, command, connected, positive_number, seconds, tell
 
 if TYPE_CHECKING:
     from urlink import Robot
@@ -25,6 +25,27 @@ def _degrees(text: str) -> float:
     if not 6.0 <= seconds(text) <= 45.0:
         raise argparse.ArgumentTypeError(f"{text} is out of range; expected 6 to 45 degrees")
     return seconds(text)
+
+
+def _mapping(text: str) -> tuple[str, str]:
+    ours, _, theirs = text.partition("=")
+    if not ours or not theirs:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a mapping; expected for example target_q=joint_positions")
+    return ours, theirs
+
+
+#: Arguments for tables.
+_TABLE = (
+    argument(
+        "--map",
+        type=_mapping,
+        action="append",
+        default=[],
+        metavar="NAME=COLUMN",
+        help="RTDE name and its column in a table; for a vector, the name without number, or all columns with commas",
+    ),
+    argument("--rate", type=positive_number, metavar="HZ", help="rows per second of a table without timestamp"),
+)
 
 
 @command(
@@ -41,8 +62,8 @@ def _degrees(text: str) -> float:
 def _exercise(args: argparse.Namespace) -> int:
     """Move each joint slowly about its current position, and then all joints together, for `urlink identify`.
     THE ARM MOVES, for a minute or two. The box of the motion is printed first, and nothing moves before you confirm
-    that this box is free. No part of the arm is faster than 0.25 m/s, and the speed slider slows it down further: try
-    the motion at a low slider, and record it at 100 %.
+    that this box is free. No part of the arm is faster than 0.25 m/s. A speed slider below 100 % slows the arm down
+    further. Try the motion with a low slider first, and record it at 100 %.
 
     Stand at the emergency stop. --dead-man names a digital input that must be on while the arm moves. Ctrl-C stops the
     arm. The motion ends at its start position.
@@ -106,16 +127,19 @@ def _box_text(model: str, planned: Exercise, slider: float) -> str:
     argument("recording", type=Path, metavar="RECORDING", help="a .urlog, a .csv or a bundle"),
     argument("--like", metavar="FILE", help="use the arm in FILE, written by urlink identify"),
     argument("--model", metavar="NAME", help="arm, if neither --like nor the recording names it"),
+    *_TABLE,
     argument(
         "--tolerance", type=seconds, default=0.01, metavar="S", help="allowed time difference in s (default: 0.01)"
     ),
 )
 def _compare(args: argparse.Namespace) -> int:
-    """Run the motions of a recording on the simulator, and print the differences: for each movement between two rests
-    the additional time of the simulator, and for each quantity the root mean square by joint. The exit status is 1 if
-    a movement differs by more than --tolerance seconds, so the command can serve as a regression test of a cell.
+    """Run the motions of a recording on the simulator, and print the differences: the additional time of the
+    simulator for each movement between two rests, and the root mean square by joint for each quantity. The exit status
+    is 1 if a movement differs by more than --tolerance seconds, so the command can serve as a regression test of a
+    cell. It is 2 if no movement could be compared.
 
-    A recording does not contain commands, so each movement is run as the movej or movel that fits its targets.
+    A recording does not contain commands. Therefore each movement is run as a movej or movel that fits the recorded
+    targets.
 
     examples:
       urlink compare run.urlog --like arm.json
@@ -128,16 +152,22 @@ def _compare(args: argparse.Namespace) -> int:
     from ..identification.comparison import QUANTITIES, compare
 
     with ProgressBar(f"reading {args.recording}", args.quiet) as progress:
-        samples = _samples(args.recording, progress)
+        samples = _samples(args, progress)
         if args.like is not None:
             like = read_arm_file(args.like)
         else:
-            # Identify only the geometry: all other values are those of the model.
+            # Identify only the geometry, and use the values of the model for everything else.
             progress.next("identifying the geometry")
             found = identify(samples, args.model)
             like = ArmFile(found.model, {}, found.calibration, found.tcp)
         progress.next("simulating the movements")
         difference = compare(samples, like, progress)
+    if not difference.rms:
+        tell(
+            f"nothing to compare: {args.recording} has {len(difference.movements)} complete movements between two "
+            "rests, and no movej or movel fits any of them"
+        )
+        return 2
     begin, worst = float(samples["timestamp"][0]), 0.0
     for each in difference.movements:
         at = f"{float(samples['timestamp'][each.begin]) - begin:8.2f} s"
@@ -156,14 +186,18 @@ def _compare(args: argparse.Namespace) -> int:
     "estimate the parameters of an arm from a recording",
     argument("recording", type=Path, metavar="RECORDING", help="a .urlog, a .csv or a bundle"),
     argument("--model", metavar="NAME", help="arm, if the recording does not name it"),
+    *_TABLE,
+    argument(
+        "--calibration", action="store_true", help="fit only the kinematics, to the poses measured_pose_0 to 2 or 5"
+    ),
     argument("--out", metavar="FILE", help="write the result, for sim://...?like=FILE"),
     argument("--json", action="store_true", help="print one object per line: name, joint, value, low, high, needs"),
 )
 def _identify(args: argparse.Namespace) -> int:
     """Identify an arm from a recording of its motion: calibration, payload, rotor inertias, torque constants,
-    friction, lag, the ramp of programs, noise. Each number is printed with its 99 % confidence interval. If the
-    recording does not show a number, the motion that would show it is named. With the file that --out writes, the
-    simulator behaves like that arm: sim://ur5e?like=arm.json.
+    friction, lag, the ramp of programs, and noise. Each number is printed with its 95 % confidence interval. If a
+    number cannot be found from the recording, the motion that is needed to find it is named. With the file that --out
+    writes, the simulator behaves like that arm: sim://ur5e?like=arm.json.
 
     RECORDING is a file of `urlink record` (the real-time interface, or RTDE with the targets of the joints), a table
     of RTDE variables as `urlink rtde --csv` prints it, or a bundle of `urlink accept` (.zip) with its stage 3.
@@ -176,7 +210,9 @@ def _identify(args: argparse.Namespace) -> int:
     from ..identification import identify
 
     with ProgressBar(f"reading {args.recording}", args.quiet) as progress:
-        samples = _samples(args.recording, progress)
+        if args.calibration:
+            return _calibrate(args)
+        samples = _samples(args, progress)
         progress.next("identifying the arm")
         found = identify(samples, args.model)
     if args.out is not None:
@@ -187,13 +223,55 @@ def _identify(args: argparse.Namespace) -> int:
     return 0
 
 
-def _samples(path: Path, progress: ProgressBar) -> Samples:
-    """Read a recording, a table, or the recording in a bundle."""
+def _calibrate(args: argparse.Namespace) -> int:
+    """Fit the kinematics to measured poses, and print the accuracy in rows that were left out."""
+    from urlink import BadValue
+    from urlink.arm import models
+    from urlink.tools import ArmFile, Estimate
+
+    from ..identification.calibration import fit_measured
+    from ..identification.samples import read_columns
+
+    columns = read_columns(args.recording, dict(args.map))
+    q, poses = columns.get("actual_q", columns.get("target_q")), columns.get("measured_pose")
+    if args.model is None or q is None or poses is None or poses.shape[1:] not in ((3,), (6,)):
+        raise BadValue(
+            f"{args.recording} has the columns {', '.join(columns) or 'none'}; --calibration needs --model, actual_q "
+            "or target_q, and measured_pose_0 to measured_pose_2 (position in m) or to measured_pose_5 (with a "
+            "rotation vector in rad), for example --map measured_pose=x,y,z"
+        )
+    model = models.model(args.model)
+    found = fit_measured(model, q, poses)
+    print(f"{model.name}: {len(q)} measured poses, every fourth of them left out of the fit")
+    print(f"  distance of the published arm   {1e3 * found.published:.4g} mm rms in the rows that were left out")
+    print(f"  distance of the fitted arm      {1e3 * found.rms:.4g} mm rms")
+    for name, pose in (("base", found.base), ("tcp", found.tcp)):
+        print(f"  {name:24} {' '.join(f'{value:.6g}' for value in pose.tolist())}  m and rad")
+    for name, values in zip(("dh_theta", "dh_a", "dh_d", "dh_alpha"), found.table, strict=True):
+        print(f"  {name:24} {' '.join(f'{value:.7g}' for value in values)}")
+    if found.rms >= found.published:
+        tell("the fitted arm is not better than the published arm; measure more poses, in more directions")
+        return 1
+    if args.out is not None:
+        estimates = {"calibration": (Estimate(found.rms, 0.0, found.rms),)}
+        ArmFile(model.name, estimates, found.table, tuple(found.tcp.tolist())).write(args.out)
+    return 0
+
+
+def _samples(args: argparse.Namespace, progress: ProgressBar) -> Samples:
+    """Read a recording, a table, or the recording in a bundle; print what it lacks."""
     from ..acceptance.bundle import recording_in
     from ..identification.samples import read_samples
 
-    with recording_in(path) as recording:
-        return read_samples(recording, progress)
+    with recording_in(args.recording) as recording:
+        samples = read_samples(recording, progress, names=dict(args.map), rate=args.rate)
+    if samples.missing:
+        tell(f"{args.recording} lacks {len(samples.missing)} columns:")
+        for name, effect in samples.missing.items():
+            tell(f"  without {name}: {effect}")
+    for remark in samples.remarks:
+        tell(f"warning: {remark}")
+    return samples
 
 
 def _objects(found: ArmFile) -> Sequence[str]:
@@ -213,6 +291,7 @@ def _lines(found: ArmFile) -> Sequence[str]:
 
     units = {name: row.unit for (name, _), row in parameters().items()}
     units |= {"payload": "kg", "payload_cog": "m", "calibration": "m rms", "clock_drift": ""}
+    units |= {"force_offset": "N or Nm", "unset_payload": "kg"}
     lines = [found.model]
     for name, each in found.estimates.items():
         for number, estimate in enumerate(each):

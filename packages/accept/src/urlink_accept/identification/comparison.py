@@ -1,8 +1,8 @@
-"""Run the motions of a recording on the simulator, and measure the differences.
+"""Comparison of a recording with the simulator, which runs the same motions.
 
-A recording of states does not contain its commands. Each movement between two rests is run as a command that fits it: a
-`movej` or a `movel` between the two postures, with the acceleration and speed of its targets. If neither fits, for
-example because of blends or set-points, the movement is counted but not run.
+A recording of states does not contain the commands. Therefore each movement between two rests is run as a command that
+fits the movement: a `movej` or a `movel` between the two postures, with the acceleration and speed of the recorded
+targets. If neither fits, for example because of blends or set-points, the movement is counted but not run.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from urlink.tools import ArmFile, FloatArray, Progress, unseen
 
 from .samples import COLUMNS, Samples
 
-#: Maximum deviation of the targets of a movement, in rad, to count as the same command.
+#: Maximum deviation of the targets, in rad, with which a command fits a movement.
 _SAME = 0.1
 #: Compared quantities, with their units.
 QUANTITIES = {"target_q": "rad", "target_moment": "Nm", "target_current": "A", "actual_q": "rad", "actual_current": "A"}
@@ -30,8 +30,8 @@ class Movement:
     """One movement of a recording.
 
     Attributes:
-        begin: Last row of the rest before it.
-        command: Line of URScript that was run for it; "" if none fits.
+        begin: Last row of the rest before the movement.
+        command: Line of URScript that the simulator ran; "" if no command fits.
         late: Additional time of the simulator in s; nan if no command fits.
     """
 
@@ -46,7 +46,8 @@ class Disagreement:
 
     Attributes:
         movements: All movements of the recording.
-        rms: Quantity -> root mean square of the difference over the movements that were run, by joint, shape (6,).
+        rms: Root mean square of the difference of each quantity, by joint, shape (6,), over all movements that were
+            run. The keys are the names of the quantities.
     """
 
     movements: tuple[Movement, ...]
@@ -83,7 +84,10 @@ def _movements(samples: Samples) -> Iterator[tuple[int, int]]:
 
 
 def _run(samples: Samples, like: ArmFile, begin: int, end: int) -> tuple[Movement, dict[str, FloatArray]]:
-    """Run a movement; return it with the differences of all quantities in its rows, which are empty if none fits."""
+    """Run a movement, and return it with the differences of all quantities in its rows.
+
+    The differences are empty if no command fits the movement.
+    """
     best = _SAME
     found: tuple[Movement, dict[str, FloatArray]] = (Movement(begin, "", math.nan), {})
     q, times = samples["target_q"], samples["timestamp"]
@@ -109,7 +113,7 @@ def _run(samples: Samples, like: ArmFile, begin: int, end: int) -> tuple[Movemen
             continue
         span = np.arange(moving[0], moving[-1] + 1)
         columns = {name: np.array(each) for name, each in shown.items()}
-        # Time when the leading joint is at its recorded position.
+        # Index of the simulated cycle in which the leading joint is at its recorded position, for each row.
         reached = np.interp(way * q[rows, lead], way * columns["target_q"][span, lead], span)
         at = np.clip(np.round(reached).astype(int), moving[0], moving[-1])
         late = (reached - reached[0]) / controller.firmware.rate - (times[rows] - times[rows[0]])
@@ -128,7 +132,8 @@ def _commands(samples: Samples, like: ArmFile, begin: int, end: int, lead: int) 
     """Yield the possible commands, the most likely first."""
     q, qd, qdd = (samples[f"target_{name}"] for name in ("q", "qd", "qdd"))
     speed = float(np.abs(qd[begin:end, lead]).max())
-    # Median of the accelerations: those of the ramp are smaller or larger, and few.
+    # Use the median of the accelerations. The accelerations of the ramp are smaller or larger, but there are only a
+    # few.
     pushes = np.abs(qdd[begin + 1 : end, lead])
     push = float(np.median(pushes[pushes > 0.3 * pushes.max()]))
     # A movement without a constant speed does not show its maximum speed.

@@ -1,9 +1,9 @@
 """Slow motion for identification, inside a box that is known before the arm moves.
 
-Each joint swings alone about its current position. First it swings as fast as the tool may move, which shows rotor,
-friction and the ramp of programs, and then slowly. At the end, all joints swing together, which turns the weight of the
-tool in other directions. Each motion is a `movej` in its own program, between points that are planned before. The
-motion can also be planned for a single joint.
+Each joint swings alone about its current position. First, it swings as fast as the speed limit of the tool allows. The
+rotor inertia, the friction and the ramp of programs are found from this motion. Then it swings slowly. At the end, all
+joints swing together, so that the weight of the tool acts in other directions. Each motion is a `movej` in its own
+program, between points that are planned in advance. The motion can also be planned for a single joint.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ _REST, _ENDS = 0.7, 1.0
 #: Number of computed points of each leg; time in s that a program may take in addition to its motion; timeout of
 #: queries in s.
 _POINTS, _SPARE, _SOON = 25, 10.0, 5.0
-#: Approximate time in s of a program in addition to its trapezoid, for the ramp and for sending it.
+#: Approximate time in s that a program takes in addition to its trapezoidal motion, for the ramp and for sending the
+#: program.
 _PROGRAM = 0.2
 #: Maximum motion of a joint at rest because of rounding, in rad.
 _STILL = 1e-3
@@ -47,7 +48,7 @@ class Leg:
         goal: Joint positions at the end, shape (6,), in rad.
         speed: Speed of the joint that moves furthest, in rad/s.
         seconds: Duration at a slider of 100 %, in s.
-        rest: Time at rest after it, in s.
+        rest: Time at rest after the leg, in s.
     """
 
     goal: FloatArray
@@ -58,7 +59,7 @@ class Leg:
 
 @dataclass(frozen=True)
 class Exercise:
-    """Planned motion, which ends at its start.
+    """Planned motion that ends at its start position.
 
     Attributes:
         start: Current joint positions, shape (6,), in rad.
@@ -84,12 +85,13 @@ class Exercise:
 class Guard:
     """Callback that stops the arm if a joint leaves its box or the dead-man switch is released. Subscribe it to states.
 
-    It depends on this computer and the network, so it is a courtesy rather than a safety function.
+    The guard depends on this computer and the network, so it is an additional precaution and not a safety function.
 
     Args:
         robot: Robot to stop.
-        box: Allowed distance of the joints from their current positions, in rad: one number, or six, one per joint.
-        is_held: Function that returns for a state whether the arm may move.
+        box: Allowed distance of the joints from their current positions, in rad: one number for all joints, or one for
+            each joint, shape (6,).
+        is_held: Function that takes a state, and returns whether the arm may move.
         on_stop: Function that is called with the reason after the guard has stopped the arm.
 
     Raises:
@@ -113,7 +115,7 @@ class Guard:
 
     def __call__(self, state: RealtimeState) -> None:
         if self.tripped:
-            # A motion may have started at the moment of the stop.
+            # Stop again, because a motion might have started at the moment of the first stop.
             if state.qd_target.any() and (self._stop is None or self._stop.done):
                 self._stop = self._robot.motion.stop()
             return
@@ -135,7 +137,7 @@ class Guard:
 
 
 def _where_it_stands(robot: Robot) -> FloatArray:
-    """Return the joint positions in rad, shape (6,), when nothing moves the arm and no program is paused."""
+    """Return the joint positions in rad, shape (6,). The arm must be at rest, and no program may run or be paused."""
     robot.realtime.wait(_SOON)
     try:
         modes = robot.primary.of(RobotModeData)
@@ -152,8 +154,9 @@ def plan(arm: Arm, start: FloatArray, tcp: FloatArray, swing: float = SWING, joi
         arm: Arm, with its calibration if it is known.
         start: Current joint positions, shape (6,), in rad.
         tcp: Pose of the TCP in the flange frame, shape (6,).
-        swing: Motion to either side, in rad. With less than 0.1, the motion does not show the calibration.
-        joint: Only joint that swings, 0 to 5. If None, each joint swings alone, and then all joints together.
+        swing: Motion to either side, in rad. With less than 0.1, the calibration cannot be found from the motion.
+        joint: Number of the only joint that swings, 0 to 5. If None, each joint swings alone, and then all joints
+            together.
 
     Raises:
         BadValue: If a joint would leave its position limits. The message names the joint.
@@ -177,7 +180,7 @@ def plan(arm: Arm, start: FloatArray, tcp: FloatArray, swing: float = SWING, joi
 
 
 def plan_from_here(robot: Robot, swing: float = SWING, joint: int | None = None) -> Exercise:
-    """Plan the exercise from the current position of the arm, with its TCP. The arguments are those of `plan`.
+    """Plan the exercise from the current position and TCP of the arm. The arguments are the same as those of `plan`.
 
     Raises:
         BadValue: See `plan`.
@@ -227,7 +230,7 @@ def exercise(
 
 
 def input_is_on(number: int) -> Callable[[RealtimeState], bool]:
-    """Return a condition for a guard: whether a digital input is on."""
+    """Return a function for `Guard.is_held` that returns whether a digital input is on."""
     return lambda state: bool(state.digital_input_bits >> number & 1)
 
 
@@ -239,7 +242,7 @@ def slider_of(robot: Robot) -> float:
 
 
 def _goals(start: FloatArray, swing: float, alone: int | None) -> Iterator[tuple[FloatArray, float, float]]:
-    """Yield goals, the maximum speed of the motion to each goal, and the rest after it."""
+    """Yield goals, the maximum speed of the motion to each goal, and the time at rest after this motion."""
     for joint in range(6) if alone is None else (alone,):
         for speed, part in ((_FAST, 1.0), (_SLOW, _SHORT)):
             for side in (1.0, -1.0, 0.0):

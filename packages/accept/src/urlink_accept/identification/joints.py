@@ -1,28 +1,31 @@
 """Fit of payload, rotors, torque constants and friction to the moments and currents of a controller.
 
 The moment of a joint is linear in the inertia of its rotor, and in the mass and the first moments of mass of the
-payload. Its current is linear in the moment and in the two numbers of friction. Therefore both are fitted by least
-squares, in the order in which the controller computes: first its moments, then its currents from the moments.
+payload. The current of a joint is linear in the moment and in the two friction parameters. Therefore moments and
+currents are fitted by least squares. The order is that of the controller, which first computes the moments, and then
+the currents from the moments.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from urlink.arm.models import Model
-from urlink.tools import FULL_SPEED, JOINTS, SIDES, Dynamics, Estimate, FloatArray, motors_of
+from urlink.tools import FULL_SPEED, JOINTS, Dynamics, Estimate, FloatArray, motors_of
 
-#: Minimum acceleration in rad/s² for a joint to show its rotor inertia.
+from .intervals import Fit, blocks_of, fit, within
+
+#: Minimum acceleration of a joint, in rad/s², with which its rotor inertia can be found.
 _ACCELERATION = 0.3
-#: Minimum speed in rad/s for a joint to show the growth of its friction.
+#: Minimum speed of a joint, in rad/s, with which the growth of its friction can be found.
 _SPEED = 0.1
-#: Minimum variation of the moment of a joint, in Nm, to show its torque constant.
+#: Minimum variation of the moment of a joint, in Nm, with which its torque constant can be found.
 _MOMENT = 0.05
-#: Largest uncertainty of the mass of a payload, in kg; with a larger one, the motion does not show the payload.
+#: Largest uncertainty of the mass of a payload, in kg. If the uncertainty is larger, the payload counts as unknown.
 _MASS = 0.5
 
 
@@ -37,9 +40,9 @@ class JointFit:
         torque_constants: Torque constants of the six joints, in Nm/A.
         coulomb: Coulomb friction of the six joints, in A.
         viscous: Viscous friction of the six joints, in A s/rad.
-        torque_r2: Fraction of the variance of the torques that the fit explains, in these rows, shape (6,). Unknown
-            numbers are those of the model.
-        current_r2: The same fraction for the currents, shape (6,).
+        torque_r2: Fraction of the variance of the torques that the fit explains, in these rows, shape (6,). The fit
+            uses the values of the model for unknown numbers.
+        current_r2: Fraction of the variance of the currents that the fit explains, shape (6,).
     """
 
     payload: Estimate
@@ -58,21 +61,31 @@ def fit_joints(model: Model, columns: Mapping[str, FloatArray]) -> JointFit:
     Args:
         model: Model of the arm.
         columns: Columns by their RTDE names, shape (n, 6) each: target_q, target_qd, target_qdd, target_moment and
-            target_current. Instead of target_current, actual_current can be used.
+            target_current. Instead of target_current, actual_current can be used. Without target_moment, the moments
+            are those of the model with the columns payload and payload_cog, if they exist, and with its rotors.
     """
+    blocks = blocks_of(np.asarray(~columns["target_qd"].any(axis=1)))
     q, qd, qdd = (columns[f"target_{name}"] for name in ("q", "qd", "qdd"))
     motors = motors_of(model)
-    moments = columns["target_moment"]
-    payload, cog, rotors, modelled = _fit_moments(model, q, qd, qdd, moments)
-    torque_r2 = tuple(_r2(moments[:, i], modelled[:, i]) for i in range(6))
+    if "target_moment" in columns:
+        moments = columns["target_moment"]
+        payload, cog, rotors, modelled = _fit_moments(model, q, qd, qdd, moments, blocks)
+        torque_r2 = tuple(_r2(moments[:, i], modelled[:, i]) for i in range(6))
+    else:
+        needed = Estimate.unknown("target_moment in the recording")
+        payload, cog, rotors, torque_r2 = needed, (needed,) * 3, (needed,) * 6, (np.nan,) * 6
+        mass = float(np.median(columns["payload"])) if "payload" in columns else 0.0
+        at = np.median(columns["payload_cog"], axis=0) if "payload_cog" in columns else np.zeros(3)
+        carried = Dynamics(model, payload=mass, payload_cog=at, rotors=motors.rotor_inertias)
+        modelled = carried.torque(q, qd, qdd)
     currents = columns.get("target_current", columns.get("actual_current"))
     if currents is None:
         unknown = (Estimate.unknown("target_current or actual_current in the recording"),) * 6
         return JointFit(payload, cog, rotors, unknown, unknown, unknown, torque_r2, (np.nan,) * 6)
-    # In the actual current, stiction hides the friction of a joint at rest.
+    # Use the actual current only in rows with motion, because stiction hides the friction of a joint at rest.
     rows = np.ones(len(q), dtype=bool) if "target_current" in columns else (np.abs(qd) > FULL_SPEED).any(axis=1)
     found = [
-        _fit_current(joint, modelled[rows, i], qd[rows, i], currents[rows, i], motors.torque_constants[i])
+        _fit_current(joint, modelled[rows, i], qd[rows, i], currents[rows, i], motors.torque_constants[i], blocks[rows])
         for i, joint in enumerate(JOINTS)
     ]
     constants, coulomb, viscous = (tuple(each[part] for each in found) for part in range(3))
@@ -86,64 +99,66 @@ def fit_joints(model: Model, columns: Mapping[str, FloatArray]) -> JointFit:
 
 
 def _fit_moments(
-    model: Model, q: FloatArray, qd: FloatArray, qdd: FloatArray, moments: FloatArray
+    model: Model, q: FloatArray, qd: FloatArray, qdd: FloatArray, moments: FloatArray, blocks: NDArray[np.int_]
 ) -> tuple[Estimate, tuple[Estimate, ...], tuple[Estimate, ...], FloatArray]:
     def with_kg(at: FloatArray) -> FloatArray:
         return Dynamics(model, payload=1.0, payload_cog=at).torque(q, qd, qdd)
 
     bare = Dynamics(model).torque(q, qd, qdd)
     # Moments per kg at the flange, and per kg m along each axis of the flange. The terms of second order in the
-    # distance are not included; they are the inertia of the payload about the flange.
+    # distance are not included here. These terms are the inertia of the payload about the flange.
     at_flange = with_kg(np.zeros(3)) - bare
     step = 1e-3
     per_way = [(with_kg(step * axis) - with_kg(-step * axis)) / (2.0 * step) for axis in np.eye(3)]
     moved = np.abs(qdd).max(axis=0) >= _ACCELERATION
     shared = np.stack([at_flange, *per_way], axis=-1)
     rotor_columns = qdd[:, :, np.newaxis] * np.eye(6)
-    factors = np.zeros(10)
+    # A joint that hardly accelerates has the published rotor.
+    factors = np.concatenate((np.zeros(4), np.where(moved, 0.0, motors_of(model).rotor_inertias)))
+    resting = rotor_columns @ factors[4:]
     modelled = bare
     weight = np.ones(6)
     known = np.concatenate((np.ones(4, dtype=bool), moved))
-    covariance = np.zeros((10, 10))
+    last = Fit(factors, factors[np.newaxis], 1, np.ones(10, dtype=bool))
     second = np.zeros_like(bare)
     for _ in range(4):
         whole = np.concatenate((shared, rotor_columns), axis=-1)[:, :, known] * weight[:, np.newaxis]
-        wanted = (moments - bare - second) * weight
-        # Order the rows by joint, so that correlation of the residuals of neighbouring rows can be detected.
-        stacked, target = np.swapaxes(whole, 0, 1).reshape(-1, int(known.sum())), wanted.T.ravel()
-        found, spread, _ = fit(stacked, target)
-        factors[known] = found
-        covariance[np.ix_(known, known)] = spread
+        wanted = (moments - bare - resting - second) * weight
+        last = fit(whole.reshape(-1, int(known.sum())), wanted.ravel(), np.repeat(blocks, 6))
+        factors[known] = last.factors
         mass, first = factors[0], factors[1:4]
         cog = first / mass if mass > 1e-3 else np.zeros(3)
         fitted = Dynamics(model, payload=max(mass, 0.0), payload_cog=cog, rotors=np.maximum(factors[4:], 0.0))
         modelled = fitted.torque(q, qd, qdd)
-        # Contribution of the mass at its distance to its first moment, from the previous fit.
+        # Terms of second order in the distance of the mass, from the previous fit.
         linear = bare + shared @ factors[:4] + rotor_columns @ factors[4:]
         second = modelled - linear
         deviation = np.sqrt(np.mean((moments - modelled) ** 2, axis=0))
         weight = 1.0 / np.maximum(deviation, max(deviation.max() * 1e-3, 1e-12))
-    deviations = np.sqrt(np.diag(covariance))
-    estimates = list(map(Estimate.around, factors.tolist(), deviations.tolist()))
-    payload, of_rotors = estimates[0], estimates[4:]
+    payload = last.estimate(0)
     centre: tuple[Estimate, ...]
-    if deviations[0] * SIDES > _MASS:
+    if not payload.is_known or payload.high - payload.value > _MASS:
         needs = "postures in which the weight of the tool turns the wrists differently"
         payload, centre = Estimate.unknown(needs), (Estimate.unknown(needs),) * 3
     elif factors[0] < 0.05:
         centre = (Estimate.unknown("a payload"),) * 3
     else:
-        place, unsure = factors[1:4] / factors[0], deviations[1:4] / factors[0]
-        centre = tuple(map(Estimate.around, place.tolist(), unsure.tolist()))
+        masses = np.maximum(last.halves[:, 0], 1e-3)
+        centre = tuple(
+            within(factors[axis] / factors[0], last.halves[:, axis] / masses, last.blocks) for axis in (1, 2, 3)
+        )
+    numbers = np.cumsum(known) - 1
     rotors = tuple(
-        found if has_moved else Estimate.unknown(f"{joint} to accelerate by {_ACCELERATION} rad/s² or more")
-        for joint, found, has_moved in zip(JOINTS, of_rotors, moved, strict=True)
+        last.estimate(numbers[4 + i])
+        if moved[i]
+        else Estimate.unknown(f"{joint} to accelerate by {_ACCELERATION} rad/s² or more")
+        for i, joint in enumerate(JOINTS)
     )
     return payload, centre, rotors, modelled
 
 
 def _fit_current(
-    joint: str, torque: FloatArray, qd: FloatArray, current: FloatArray, constant: float
+    joint: str, torque: FloatArray, qd: FloatArray, current: FloatArray, constant: float, blocks: NDArray[np.int_]
 ) -> tuple[Estimate, Estimate, Estimate]:
     """Fit the torque constant, Coulomb friction and viscous friction of one joint."""
     rubs, speeds_up, varies = np.abs(qd).max() > 2.0 * FULL_SPEED, np.abs(qd).max() > _SPEED, np.ptp(torque) > _MOMENT
@@ -156,10 +171,10 @@ def _fit_current(
     ]
     if not known.any():
         return estimates[0], estimates[1], estimates[2]
-    # If the moment hardly varies, use the published torque constant for it.
-    factors, covariance, _ = fit(every[:, known], current if varies else current - torque / constant)
-    for place, value, deviation in zip(np.flatnonzero(known), factors, np.sqrt(np.diag(covariance)), strict=True):
-        estimates[place] = Estimate.around(float(value), float(deviation))
+    # If the moment hardly varies, use the known torque constant.
+    found = fit(every[:, known], current if varies else current - torque / constant, blocks)
+    for number, place in enumerate(np.flatnonzero(known)):
+        estimates[place] = found.estimate(number)
     return of_ratio(estimates[0]), estimates[1], estimates[2]
 
 
@@ -172,39 +187,15 @@ def _saturated(qd: FloatArray) -> FloatArray:
 
 
 def _r2(measured: FloatArray, modelled: FloatArray) -> float:
+    # Rounding is not a variation.
+    if np.ptp(measured) <= 1e-6:
+        return float("nan")
     total = float(((measured - measured.mean()) ** 2).sum())
-    return 1.0 - float(((measured - modelled) ** 2).sum()) / total if total > 0.0 else float("nan")
-
-
-def fit(columns: FloatArray, measured: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Fit by least squares; return the factors of the columns, their covariance, and the residual of each row.
-
-    The residuals are seldom white. If neighbouring residuals are correlated, there are fewer independent rows than
-    rows, and the covariance is enlarged accordingly.
-
-    Args:
-        columns: Columns in the order of time, shape (n, k).
-        measured: Measured values, shape (n,).
-    """
-    # Scale the columns to about the same length, so that the products in a k by k matrix have enough digits.
-    lengths = np.sqrt((columns**2).sum(axis=0))
-    lengths[lengths == 0.0] = 1.0
-    scaled = columns / lengths
-    inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
-    factors = inverse @ (scaled.T @ measured) / lengths
-    left = measured - columns @ factors
-    n, k = columns.shape
-    variance = float(left @ left) / max(n - k, 1)
-    total = float(left @ left)
-    alike = float(left[1:] @ left[:-1]) / total if total > 0.0 else 0.0
-    alike = min(max(alike, 0.0), 0.99)
-    widened = (1.0 + alike) / (1.0 - alike) if alike > 2.0 / math.sqrt(n) else 1.0
-    covariance = widened * variance * inverse / np.outer(lengths, lengths)
-    return np.asarray(factors, dtype=np.float64), np.asarray(covariance, dtype=np.float64), left
+    return 1.0 - float(((measured - modelled) ** 2).sum()) / total
 
 
 def of_ratio(estimate: Estimate) -> Estimate:
-    """Return the inverse of an estimate, with its interval."""
+    """Return the estimate of the inverse of a number, with its interval."""
     if not estimate.is_known or estimate.low * estimate.high <= 0.0:
         return Estimate.unknown(estimate.needs or "more motion")
     return Estimate(1.0 / estimate.value, 1.0 / estimate.high, 1.0 / estimate.low)

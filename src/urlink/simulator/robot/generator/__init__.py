@@ -1,4 +1,4 @@
-"""Motion generator of a simulated controller: it converts motion commands to set-points."""
+"""Motion generator of a simulated controller, which converts motion commands to set-points."""
 
 from __future__ import annotations
 

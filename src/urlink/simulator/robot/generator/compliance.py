@@ -1,29 +1,31 @@
-"""Compliant motion of an arm: in freedrive, under direct torque, and in force mode.
+"""Compliant motion of a simulated arm: freedrive, direct torque and force mode.
 
-In freedrive and under direct torque, the joints yield according to one model of the arm: the masses of links and
-payload, and the rotors.
+Freedrive and direct torque use the same model of the arm, which consists of the masses of the links and the payload,
+and of the rotors. Freedrive along only some axes is simulated as force mode.
 
-In **freedrive**, the arm moves under the external torques. Gravity and friction are compensated, and its speed is
-damped. A joint stops at the end of its range. The damping is assumed, and so is the speed of the tool above which the
-controller stops the arm.
+In **freedrive**, the external torques move the arm. Gravity and friction are compensated, and the joint speeds are
+damped. A joint stops at the end of its range. If the tool becomes too fast, the controller stops the arm. The damping
+and this maximum speed are assumed.
 
-Under **direct torque**, the arm moves under the torques that a program sets for one cycle, plus the external torques.
-The controller compensates gravity, according to the vendor. Friction that the program does not have compensated is the
-friction of the joints (`urlink.arm.motors`). In a cycle without a torque, the arm brakes.
+Under **direct torque**, the torques that a program sets for one cycle, plus the external torques, move the arm.
+According to the vendor, the controller compensates gravity. The program chooses the fraction of the friction that the
+controller compensates. The rest of the joint friction (`urlink.arm.motors`) acts on the joints. In a cycle for which
+the program has set no torque, the arm brakes.
 
-In force mode, the tool yields along some axes until a force is reached, and follows its path along the others. How a
-controller does this is not published, except the purpose of the arguments. This model has these properties:
+In **force mode**, the tool yields along some axes until a force is reached, and follows its path along the other axes.
+The algorithm of a real controller is not published, only the purpose of the arguments. The model in this module has the
+following properties:
 
-- Along a **compliant axis**, the tool moves like a mass with damping, under the wanted force and the external force. A
-  change of the force also brakes it, so that it comes to rest on stiff objects. `damping` is the fraction of its speed
-  that the mass loses in 2 ms: 0 keeps the speed, 1 stops it immediately. `gain` scales the force that moves the mass.
-  The tool never exceeds its speed limit. If a force other than the wanted one pushes it at that limit for a tenth of a
-  second, the arm is stopped.
-- Along **every other axis**, the tool follows the program and yields like a stiff spring. If its deviation exceeds its
-  limit, the arm is stopped.
+- Along a **compliant axis**, the tool moves like a damped mass that the requested force and the external force
+  accelerate. A change of the force also brakes the tool, so that it comes to rest on stiff objects. `damping` is
+  approximately the fraction of the speed that the mass loses in 2 ms: with 0, the mass keeps its speed; with 1, it
+  loses 63 % of its speed. `gain` scales the force that moves the mass. The tool never exceeds the speed limit of the
+  axis. If an external force pushes the tool at this limit for more than 0.1 s, the arm is stopped.
+- Along **every other axis**, the tool follows the program and yields like a stiff spring. If the deviation from the
+  program exceeds the limit of the axis, the arm is stopped.
 
-The masses, stiffnesses and times are assumed. A contact of up to 100 kN/m is stable at 125 Hz, and a stiffer one at 500
-Hz.
+The masses, stiffnesses and times are assumed. A contact with a stiffness of up to 100 kN/m is stable at 125 Hz; at 500
+Hz, stiffer contacts are stable too.
 """
 
 from __future__ import annotations
@@ -45,7 +47,7 @@ from .joint_limits import ArmWithTool, LimitViolation, moved
 from .path_motion import Command
 from .streamed_motion import JointSpeed
 
-# Time, in s, that converts the change of a torque or a force to a braking impulse.
+# Time, in s, by which the change of a torque or a force is multiplied. The product is an impulse that brakes the arm.
 _BRAKE = 0.03
 # Damping of each joint in freedrive, in 1/s.
 _FREE_DAMPING = number("freedrive_damping")
@@ -54,11 +56,11 @@ _FASTEST = number("freedrive_fastest")
 
 
 class FreeJoints:
-    """Freedrive with every axis free.
+    """Freedrive in which all axes are free.
 
     Args:
         arm: Arm with its tool.
-        dynamics: Dynamics of the arm with its rotors and its payload.
+        dynamics: Dynamics of the arm with rotors and payload.
         begin: Current set-point.
     """
 
@@ -77,7 +79,7 @@ class FreeJoints:
             seconds: Duration of the cycle, in s.
 
         Raises:
-            LimitViolation: If a joint, or the tool, is too fast.
+            LimitViolation: If a joint or the tool is too fast.
         """
         last = self._last
         felt = np.asarray(torques, dtype=np.float64)
@@ -97,21 +99,21 @@ class FreeJoints:
             speed = math.hypot(*self._arm.velocity(setpoint.q, setpoint.qd)[:3].tolist())
             if speed > _FASTEST:
                 raise LimitViolation(
-                    f"freedrive: the tool is moved at {speed:.2f} m/s, at most {_FASTEST:g} is allowed"
+                    f"freedrive: the tool is moving at {speed:.2f} m/s; at most {_FASTEST:g} m/s is allowed"
                 )
         self._last = setpoint
         return setpoint
 
 
 class TorqueMotion(Command):
-    """Direct torque for one cycle.
+    """Motion under direct torque for one cycle.
 
     Args:
-        dynamics: Dynamics of the arm with its rotors and its payload; gravity has no effect.
+        dynamics: Dynamics of the arm with rotors and payload. Gravity is not used.
         motors: Motors of the arm.
-        torque: Torques of the program plus external torques, shape (6,), in Nm.
-        friction: Fraction of its friction that acts on each joint, shape (6,), 0 to 1.
-        acceleration: Deceleration of the joints if no torque follows, shape (6,), in rad/s².
+        torque: Sum of the program's torques and the external torques, shape (6,), in Nm.
+        friction: For each joint, the fraction of the friction that is not compensated, shape (6,), 0 to 1.
+        acceleration: Deceleration of the joints if no torque is set for the next cycle, shape (6,), in rad/s².
 
     Attributes:
         is_over: Whether the cycle has passed.
@@ -138,25 +140,26 @@ class TorqueMotion(Command):
         speed = np.array(last.qd)
         rub, slope = (self._friction * each for each in self._motors.friction_torque(last.qd))
         left = self._torque - rub - self._dynamics.coriolis_torque(last.q, last.qd)
-        # Use the friction at the end of the cycle. With the friction at its beginning, a light joint would oscillate
-        # about rest.
+        # Use the friction at the end of the cycle. With the friction at the beginning, a light joint would oscillate
+        # around zero speed.
         qdd = np.linalg.solve(self._dynamics.mass_matrix(last.q) + np.diag(seconds * slope), left)
         qd = speed + seconds * qdd
         return Setpoint((np.array(last.q) + seconds * qd).tolist(), qd.tolist(), qdd.tolist())
 
 
-# Masses that move along and about a compliant axis, in kg and kg m².
+# Simulated masses and moments of inertia for motions along and about a compliant axis, in kg and kg m².
 _MASS = np.array(numbers("force_mode_mass"))
-# Rate of damping 1, in 1/s: the whole speed within 2 ms.
+# Rate at which the speed decays with a damping of 1, in 1/s. Its time constant is 2 ms.
 _DAMPING = 500.0
-# Stiffness of the axes that are not compliant, in N/m and Nm/rad, and their time to yield, in s.
+# Stiffness of the axes that are not compliant, in N/m and Nm/rad, and time constant with which they yield, in s.
 _STIFFNESS = np.array([20e3, 20e3, 20e3, 500.0, 500.0, 500.0])
 _GIVING_WAY = 0.05
-# Force above which an axis counts as pushed, in N and Nm, and time for which it may be pushed at its maximum speed, in
-# s.
+# Force above which an axis counts as pushed, in N and Nm, and maximum time for which it may be pushed at its maximum
+# speed, in s.
 _DRIVEN = np.array([5.0, 5.0, 5.0, 0.5, 0.5, 0.5])
 _DRIVEN_FOR = 0.1
-# Speed in m/s below which a motion has no direction, and distance in m within which there is no direction to the frame.
+# Speed in m/s below which the direction of a motion is not used, and distance in m below which the direction to the
+# origin of the frame is not used.
 _SLOW, _NEAR = 1e-4, 1e-6
 
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -168,15 +171,15 @@ class ForceTask:
     """Arguments of `force_mode`.
 
     Attributes:
-        frame: Pose in the base frame, shape (6,); only its axes have an effect.
+        frame: Pose of the task frame in the base frame, shape (6,). The position is used only for kind 1.
         selection: Whether each axis is compliant, shape (6,).
-        wrench: Wanted wrench of the tool along and about the compliant axes, shape (6,), in N and Nm.
-        kind: 1 turns the y axis towards the origin of the frame, seen from the tool. 2 does not change the frame. 3
-            turns the x axis into the direction of the tool's motion in the x-y plane.
+        wrench: Requested wrench that the tool exerts along and about the compliant axes, shape (6,), in N and Nm.
+        kind: Transformation of the frame. 1 turns the y axis to the direction from the tool to the origin of the frame.
+            2 does not change the frame. 3 turns the x axis to the direction in which the tool moves in the x-y plane.
         limits: Maximum speed of compliant axes, in m/s and rad/s, and maximum deviation of the other axes, in m and
             rad; shape (6,).
-        damping: Damping, 0 to 1.
-        gain: Gain, 0 to 2.
+        damping: Damping of the compliant axes, 0 to 1.
+        gain: Gain of the compliant axes, 0 to 2.
     """
 
     frame: Sequence[float]
@@ -189,19 +192,19 @@ class ForceTask:
 
 
 def free_tool(frame: Sequence[float], axes: Sequence[bool]) -> ForceTask:
-    """Return a task for freedrive along some axes of a frame.
+    """Return the force mode task that simulates freedrive along some axes of a frame.
 
-    The tool exerts no force, its speed decreases quickly, and there are no limits.
+    In this task, the tool exerts no force, the speed of the tool decreases quickly, and there are no limits.
     """
     return ForceTask(frame, axes, (0.0,) * 6, 2, (math.inf,) * 6, damping=0.02)
 
 
 class Compliance:
-    """Converts the set-points of a program to those of an arm under force control.
+    """Force mode: changes the set-points of a program to set-points of the compliant arm.
 
     Args:
         arm: Arm with its tool.
-        begin: Current set-point. The axes that follow the program keep its speed.
+        begin: Current set-point. Axes that follow the program keep the speed of this set-point.
         task: Arguments of force mode.
     """
 
@@ -210,7 +213,8 @@ class Compliance:
         self._arm = arm
         self._last = begin
         self._pose = arm.pose(begin.q)
-        # In the base frame: speed of the compliant axes, speed of the whole tool, and deviation of the other axes.
+        # In the base frame: speed along the compliant axes, speed of the tool along all axes, and deviation along the
+        # other axes.
         self._deviation_speed = np.zeros(6)
         self._speed = arm.velocity(begin.q, begin.qd) if any(begin.qd) else np.zeros(6)
         self._deviation = np.zeros(6)
@@ -233,7 +237,7 @@ class Compliance:
         """Return the set-point one cycle later.
 
         Args:
-            nominal: Set-point of the program alone.
+            nominal: Set-point of the program, without compliance.
             wrench: Wrench on the TCP, shape (6,), in N and Nm in the base frame.
             seconds: Duration of the cycle, in s.
 
@@ -260,23 +264,24 @@ class Compliance:
         if (np.abs(deviation) > limits).any():
             axis = int(np.argmax(np.abs(deviation) > limits))
             off, most = f"{deviation[axis]:.4f} {_UNITS[axis]}", f"{limits[axis]:g}"
-            raise LimitViolation(f"force mode: {_AXES[axis]} is off by {off}, at most {most} is allowed")
+            raise LimitViolation(f"force mode: the deviation along {_AXES[axis]} is {off}; at most {most} is allowed")
 
         self._deviation_speed, self._deviation = axes.T @ speed, axes.T @ deviation
         return self._move(axes.T @ np.where(is_free, speed, axes @ followed + giving), seconds)
 
     def _check_driven(self, speed: FloatArray, felt: FloatArray, seconds: float) -> None:
-        """Raise if an external force pushes the tool at its speed limit."""
+        """Raise if an external force has pushed the tool at a speed limit for too long."""
         driven = self._is_free & (np.abs(speed) > self._most) & (speed * felt > 0.0) & (np.abs(felt) > _DRIVEN)
         self._driven = self._driven + seconds if driven.any() else 0.0
         if self._driven > _DRIVEN_FOR:
             axis = int(np.argmax(driven))
-            raise LimitViolation(f"force mode: pushed along {_AXES[axis]} at its largest speed of {self._most[axis]:g}")
+            most = f"{self._most[axis]:g}"
+            raise LimitViolation(f"force mode: the tool was pushed along {_AXES[axis]} at the maximum speed of {most}")
 
     def _axes(self, followed: FloatArray) -> FloatArray:
-        """Return the rotation from the base frame to the axes of the task, shape (6, 6).
+        """Return the matrix that transforms from the base frame to the axes of the task, shape (6, 6).
 
-        It applies to forces and to speeds.
+        The matrix applies to wrenches and to speeds of the tool.
         """
         columns = self._frame
         if self._task.kind == 1:
@@ -299,10 +304,10 @@ class Compliance:
 
 
 def _turned(columns: FloatArray, axis: int, way: FloatArray, least: float) -> FloatArray:
-    """Return a frame with one of its first two axes along a direction.
+    """Return a frame whose x or y axis (`axis` 0 or 1) has the direction `way`.
 
-    Its z axis is as close to the old one as possible. If the direction is too short, or along z, the frame is
-    unchanged.
+    The z axis is as close to the old z axis as possible. If `way` is shorter than `least`, or is parallel to the z
+    axis, the frame is not changed.
     """
     length = float(np.linalg.norm(way))
     if length < least:

@@ -1,10 +1,10 @@
-"""Make the set-points of one program: its motion generator, with force mode or freedrive.
+"""Drive of one program: combines the motion generator with force mode and freedrive.
 
-In force mode, the program still commands the arm, which follows along the axes that are not compliant. In freedrive
-with all axes free, commands of the program have no effect.
+In force mode, the arm still follows the commands of the program along the axes that are not compliant. In freedrive
+with all axes free, the commands of the program have no effect.
 
-Assumptions: a stop ends both modes, so a program that continues after the stop must begin them again. If a motion is
-running when a mode ends, it continues from the current position of the arm.
+Two things are assumed. A stop ends force mode and freedrive, so a program that continues after the stop must begin the
+mode again. If a motion is running when a mode ends, the motion continues from the current position of the arm.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ _ALL = (True,) * 6
 
 
 class ArmDrive:
-    """Makes the set-points of one program.
+    """Generator of the set-points for one program.
 
     Args:
-        arm: Arm to continue with, from its current set-point. In each cycle, its current dynamics and external forces
-            apply.
-        scaling: Initial scaling.
-        parameters: Parameters of the scaling.
+        arm: Arm to move. The drive continues from the current set-point of the arm, and in each cycle uses its current
+            dynamics and external forces.
+        scaling: Initial speed scaling.
+        parameters: Parameters of the speed scaling.
 
     Attributes:
         generator: Motion generator, which executes the commands of the program.
@@ -43,17 +43,17 @@ class ArmDrive:
         self.generator = MotionGenerator(arm.kinematics, arm.setpoint, scaling, parameters)
         self.setpoint = arm.setpoint
         self._arm = arm
-        # Moves the arm in force mode or freedrive.
+        # Force mode or freedrive; None if neither is active.
         self._compliant: Compliance | FreeJoints | None = None
         self._mode = ControlMode.POSITION
-        # Parameters of force mode that the program has set.
+        # Damping and gain of force mode that the program has set.
         self._damping, self._gain = ForceTask.damping, ForceTask.gain
 
     # -- modes -------------------------------------------------------------------------------------
 
     @property
     def yields(self) -> bool:
-        """Whether force mode or freedrive is on, so that the arm moves without a command."""
+        """Whether force mode or freedrive is active, so that the arm can move without a command."""
         return self._compliant is not None
 
     @property
@@ -62,7 +62,7 @@ class ArmDrive:
         return ControlMode.TORQUE if not self.yields and self.generator.follows_torque else self._mode
 
     def force_mode(self, task: ForceTask) -> None:
-        """Begin force mode, or change its task."""
+        """Begin force mode, or change the task of the active force mode."""
         task = replace(task, damping=self._damping, gain=self._gain)
         if isinstance(self._compliant, Compliance):
             self._compliant.task = task
@@ -72,12 +72,12 @@ class ArmDrive:
         self._mode = ControlMode.FORCE
 
     def set_damping(self, damping: float) -> None:
-        """Set the damping, 0 to 1, of the current force mode and of later ones."""
+        """Set the damping (0 to 1) of the active force mode and of later ones."""
         self._damping = damping
         self._adjust()
 
     def set_gain(self, gain: float) -> None:
-        """Set the gain, 0 to 2, of the current force mode and of later ones."""
+        """Set the gain (0 to 2) of the active force mode and of later ones."""
         self._gain = gain
         self._adjust()
 
@@ -90,7 +90,7 @@ class ArmDrive:
 
         Args:
             axes: Whether each axis is free, shape (6,).
-            frame: Frame in the base frame, shape (6,), in m and rad.
+            frame: Pose of the frame in the base frame, shape (6,), in m and rad.
         """
         self.end_mode()
         if tuple(axes) == _ALL:
@@ -109,7 +109,7 @@ class ArmDrive:
     # -- time --------------------------------------------------------------------------------------
 
     def advance(self, seconds: float) -> Setpoint:
-        """Return the set-point after a cycle of `seconds`.
+        """Return the set-point one cycle of `seconds` later.
 
         Raises:
             LimitViolation: If the set-point would exceed a limit.
@@ -131,7 +131,7 @@ class ArmDrive:
     def start(self, q: Sequence[float]) -> None:
         """Continue from rest at six joint positions, in rad, after a stop has braked the arm.
 
-        No mode is on afterwards.
+        Force mode and freedrive are ended.
         """
         self._compliant = None
         self._mode = ControlMode.POSITION

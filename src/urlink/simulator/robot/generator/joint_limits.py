@@ -1,7 +1,7 @@
-"""An arm with its tool, the limits that a controller enforces, and checks of arguments.
+"""Arm with its tool, limits that a controller enforces, and checks of arguments.
 
-A controller makes a protective stop if a joint is about to leave its range or to exceed its speed, if no arm could
-follow, or if a pose is out of reach. The tolerances are assumed.
+A controller makes a protective stop in four cases: a joint would leave its range, a joint would exceed its maximum
+speed, an acceleration is so high that no arm can follow, or a pose is out of reach. The tolerances are assumed.
 """
 
 from __future__ import annotations
@@ -21,28 +21,29 @@ from urlink.arm.vectors import JOINTS, FloatArray
 
 from ..setpoint_sources import Setpoint
 
-# Fraction by which a set-point may exceed the maximum speed of a joint, for rounding and for coarse interpolation by
-# clients.
+# Fraction by which a set-point may exceed the maximum speed of a joint. Rounding, and coarse interpolation in clients,
+# cause such differences.
 _TOLERANCE = number("joint_speed_tolerance")
-# Multiple of the maximum acceleration of a joint that no arm can follow. The motors handle smaller accelerations.
+# Factor by which an acceleration must exceed the maximum acceleration of a joint to count as impossible. Smaller
+# accelerations are accepted.
 _HARDEST = 10.0
-# Distance in rad beyond the range of a joint that rounding can cause.
+# Distance in rad by which rounding can move a position out of the range of a joint.
 _ROUNDING = 1e-9
 
 
 class LimitViolation(Exception):
-    """A set-point exceeds a limit of the arm, which its text names.
+    """Error: a set-point exceeds a limit of the arm. The text of the error names the limit.
 
-    A controller makes a protective stop.
+    The controller then makes a protective stop.
     """
 
 
 class OutOfReach(Exception):
-    """The target of a motion function is out of reach."""
+    """Error: the target of a motion function is out of reach."""
 
 
 class JointLimits:
-    """Limits of one model, as plain numbers.
+    """Joint limits of one model, as plain numbers.
 
     Attributes:
         speed, acceleration: Limits of each joint, in rad/s and rad/s².
@@ -58,21 +59,22 @@ class JointLimits:
         self._highest: list[float] = (model.position_limits[:, 1] + _ROUNDING).tolist()
 
     def check(self, last: Setpoint, new: Setpoint, seconds: float) -> None:
-        """Raise if a set-point is too fast, too far from the last one, or further outside the range.
+        """Raise if a set-point is too fast, differs too much from the last set-point, or is further out of range.
 
-        A motion back into the range is allowed, because an arm might be outside after braking.
+        A motion back into the range is allowed, because an arm might be out of range after braking.
 
         Raises:
             LimitViolation: If the set-point exceeds a limit.
         """
-        # This runs in each cycle, so it avoids Python loops, which would take a tenth of the cycle's time. It is also
-        # true for NaN.
+        # This check runs in each cycle. Python loops would need a tenth of the cycle's processor time, so `map` is
+        # used. The condition is also true for NaN.
         if not all(map(le, map(abs, new.qd), self.allowed_speed)):
             raise LimitViolation(self._too_fast(new.qd))
         if not all(map(le, map(abs, map(sub, new.qd, last.qd)), map(mul, self._hardest, repeat(seconds)))):
             raise LimitViolation(self._too_sudden(last.qd, new.qd, seconds))
         if not any(new.qd) and new.q != last.q:
-            # At its end, a path corrects the joints. This is not a jump, unless the path ends in a singularity.
+            # At the end of a path, the joints are corrected to the exact end. This correction is small, unless the path
+            # ends in a singularity.
             way = [(b - a) / seconds for a, b in zip(last.q, new.q, strict=True)]
             if any(abs(speed) > allowed for speed, allowed in zip(way, self.allowed_speed, strict=True)):
                 raise LimitViolation(self._too_fast(way))
@@ -80,10 +82,10 @@ class JointLimits:
             self._check_range(last, new)
 
     def check_target(self, q: Sequence[float]) -> None:
-        """Raise if a target of the joints is outside the range.
+        """Raise if target positions of the joints are out of range.
 
         Raises:
-            LimitViolation: If it is outside the range.
+            LimitViolation: If the target of a joint is out of range.
         """
         if all(map(le, self._lowest, q)) and all(map(le, q, self._highest)):
             return
@@ -109,7 +111,7 @@ class JointLimits:
 
 
 class ArmWithTool(NamedTuple):
-    """An arm, the limits of its joints, and its tool.
+    """Arm with its joint limits and its tool.
 
     Attributes:
         kinematics, limits: Kinematics and joint limits of the arm.
@@ -130,7 +132,9 @@ class ArmWithTool(NamedTuple):
         return self.kinematics.velocity(q, qd, self.tcp)
 
     def joints(self, pose: Sequence[float], near: Sequence[float]) -> list[float]:
-        """Return the joint positions closest to `near` with the TCP at a pose.
+        """Return the joint positions at which the TCP has this pose.
+
+        If there are several solutions, the solution that is closest to `near` is returned.
 
         Raises:
             LimitViolation: If the pose is out of reach.
@@ -144,7 +148,7 @@ class ArmWithTool(NamedTuple):
     def setpoint(self, pose: Sequence[float], last: Setpoint, seconds: float) -> Setpoint:
         """Return the set-point for a pose of the TCP, one cycle after `last`.
 
-        Speeds and accelerations are differences.
+        The speeds and accelerations are computed from the differences to `last`.
 
         Raises:
             LimitViolation: If the pose is out of reach.
@@ -155,7 +159,7 @@ class ArmWithTool(NamedTuple):
 
 
 def moved(pose: Sequence[float], step: Sequence[float]) -> list[float]:
-    """Return a pose moved by a step along the axes of the base frame, in m and rad."""
+    """Return a pose after a translation and a rotation (`step`) in the base frame, in m and rad."""
     place = [a + b for a, b in zip(pose[:3], step[:3], strict=True)]
     if not any(step[3:]):
         return [*place, *pose[3:]]

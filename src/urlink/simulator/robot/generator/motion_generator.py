@@ -1,13 +1,14 @@
-"""Motion generator: it converts the commands of a program to one set-point in each cycle.
+"""Motion generator, which converts the commands of a program to one set-point in each cycle.
 
-Every command continues from the current motion, with a continuous speed. Path moves (movej, movel, movep, movec,
-servoc) begin where the arm can come to rest, and a blend is added that takes over its speed. Speeds and stops change
-the current speed. servoj follows its set-point from there.
+Every command continues from the current motion, so that the speed is continuous. The path of a path move (movej, movel,
+movep, movec, servoc) begins at a position where the arm could come to rest, and a blend is added that starts with the
+current speed of the arm. Speed and stop commands change the current speed. servoj approaches its set-point from the
+current position and speed.
 
-A controller's algorithm is not published. So it is assumed how hard it brakes without a command, or when a path move
-preempts another motion (a quarter of the model's acceleration).
+The algorithm of a real controller is not published. Therefore the deceleration is assumed: it is a quarter of the
+model's maximum acceleration if there is no command, or if a path move preempts another motion.
 
-The speed scaling stretches the time of every command except a stop. For the rate at which it changes, see
+The speed scaling stretches the time of every command except stops. For the rate at which the scaling changes, see
 `ScalingParameters`.
 """
 
@@ -30,27 +31,30 @@ from .joint_limits import ArmWithTool, JointLimits, LimitViolation, OutOfReach, 
 from .path_motion import Blend, Command, JointPath, MotionPath, PathMove, ToolPath, Trapezoid, timed
 from .streamed_motion import JointSpeed, ServoMotion, ToolSpeed, lag_of
 
-# Scaling above which servoj takes over the whole speed of the joints in its stretched time. Below it, a part is taken
-# over.
+# Scaling above which servoj takes over the whole speed of the joints, divided by the scaling. Below this scaling, it
+# takes over only a part of the speed, and the rest decays.
 _TAKES_OVER = 0.1
-# Minimum length, in rad or m, for computing speed and acceleration from a time.
+# Minimum length, in rad or m, that is used to compute speed and acceleration from a duration.
 _SHORTEST = 1e-9
+#: Length below which a path is considered to lead nowhere, in m or rad.
+_NOTHING = 1e-12
 
 
 class MotionGenerator:
-    """Makes the set-points of six joints.
+    """Generator of the set-points of six joints.
 
     Args:
-        kinematics: Kinematics of the arm, with its limits.
-        setpoint: Current set-point. The arm brakes until a command comes.
-        scaling: Initial scaling.
-        parameters: Parameters of the scaling.
+        kinematics: Kinematics of the arm, which include the joint limits.
+        setpoint: Current set-point. If the arm moves, it brakes until a command begins.
+        scaling: Initial speed scaling.
+        parameters: Parameters of the speed scaling.
 
     Attributes:
         setpoint: Set-point of this cycle.
-        arm: Arm with its tool. A motion that has begun keeps its own copy.
-        speed_fraction: Position of the speed slider, in [0, 1]. It scales everything except stops.
-        scaling: Fraction of their speed with which commands are executed. It approaches `speed_fraction`.
+        arm: Arm with its tool. A new TCP does not affect a motion that has already begun.
+        speed_fraction: Fraction of the speed slider, 0 to 1. It scales all commands except stops.
+        scaling: Speed at which commands are executed, as a fraction of the commanded speed. It approaches
+            `speed_fraction`.
     """
 
     def __init__(
@@ -64,7 +68,7 @@ class MotionGenerator:
         self.speed_fraction = 1.0
         self.scaling = scaling
         self._parameters = parameters
-        # The scaling rises from 0 at this rate, in 1/s, until it has reached the slider.
+        # Rate at which the scaling rises until it has reached `speed_fraction`, in 1/s.
         self._rise = parameters.start_rate
         self.arm = ArmWithTool(kinematics, JointLimits(kinematics.model), list(REST))
         self._limits = self.arm.limits
@@ -85,28 +89,28 @@ class MotionGenerator:
 
     @property
     def is_standing(self) -> bool:
-        """Whether no joint moves or is about to move."""
+        """Whether no joint moves, and no command will move one."""
         return (self._command is None or self._command.is_at_rest) and not any(self.setpoint.qd)
 
     @property
     def follows_torque(self) -> bool:
-        """Whether torques move the joints in this cycle."""
+        """Whether the joints are moved by direct torque in this cycle."""
         return isinstance(self._command, TorqueMotion) and not self._command.is_at_rest
 
     @property
     def waypoint(self) -> list[float] | None:
-        """Pose of the TCP at the end of the current path move, in m and rad; None if there is none."""
+        """Pose of the TCP at the end of the current path move, in m and rad; None if no path move is active."""
         command = self._command
         return command.end_pose if isinstance(command, PathMove) and not command.is_at_rest else None
 
     # -- time --------------------------------------------------------------------------------------
 
     def advance(self, seconds: float) -> Setpoint:
-        """Return the set-point after a cycle of `seconds`.
+        """Return the set-point one cycle of `seconds` later.
 
         Raises:
-            LimitViolation: If the set-point would exceed a limit. The set-point then stays the same until another
-                command or `start`.
+            LimitViolation: If the set-point would exceed a limit. Every later call then raises the same error until
+                another command begins or `start` is called.
         """
         if self._refusal is not None:
             raise self._refusal
@@ -130,8 +134,9 @@ class MotionGenerator:
     def start(self, q: Sequence[float]) -> None:
         """Continue from rest at six joint positions, in rad, after a stop has braked the arm.
 
-        A path move continues to its end, and a speed is approached again. In three cases the command is discarded and
-        the arm stays at rest: the command had ended, it has exceeded a limit, or it is a set-point of servoj.
+        A path move continues to its end, and a speed command accelerates to its speed again. In three cases, the
+        command is discarded and the arm stays at rest: the command had already ended, it had exceeded a limit, or it is
+        a servoj command.
         """
         is_over = self._refusal is not None or isinstance(self._command, ServoMotion)
         self.setpoint = Setpoint(checked(q, "joint positions"), REST, REST)
@@ -142,14 +147,15 @@ class MotionGenerator:
             self.resume(self.setpoint)
 
     def resume(self, setpoint: Setpoint) -> None:
-        """Continue from a set-point that another mode has reached; like `start`, but with its speed."""
+        """Continue the current command from the position and the speed that force mode or freedrive has reached."""
         self.setpoint = setpoint
         command = self._command
         if command is None or command.is_at_rest:
             self._begin(JointSpeed(REST, self._gentle, None))
         elif isinstance(command, PathMove):
             way = [b - a for a, b in zip(setpoint.q, command.place, strict=True)]
-            # Return to the path at half of the allowed joint speeds: the peak of the blend is 3/2 of its mean.
+            # Return to the path at no more than half of the maximum joint speeds. The maximum speed of a blend is 3/2
+            # of its mean speed.
             furthest = max(abs(d) / limit for d, limit in zip(way, self._limits.speed, strict=True))
             command.restart(Blend(way, setpoint.qd, max(3.0 * furthest, 0.1), self._gentle))
         elif isinstance(command, ToolSpeed):
@@ -158,12 +164,12 @@ class MotionGenerator:
     # -- path moves --------------------------------------------------------------------------------
 
     def movej(self, q: Sequence[float], a: float = 1.4, v: float = 1.05, t: float = 0.0, r: float = 0.0) -> Command:
-        """Move all joints together to positions; the joint that moves furthest determines the speed.
+        """Move all joints to target positions, so that they arrive together.
 
         Args:
             q: Joint positions, shape (6,), in rad.
-            a: Acceleration of that joint, in rad/s², lowered to the limits of the model.
-            v: Speed of that joint, in rad/s, lowered to the limits of the model.
+            a: Acceleration of the joint that moves furthest, in rad/s². It is lowered to the limits of the model.
+            v: Speed of the joint that moves furthest, in rad/s. It is lowered to the limits of the model.
             t: Duration, in s. If above zero, `a` and `v` have no effect.
             r: Blend radius, in m.
 
@@ -181,10 +187,11 @@ class MotionGenerator:
         return self._follow_path(path, start, blend, a, v, t, r)
 
     def movel(self, pose: Sequence[float], a: float = 1.2, v: float = 0.25, t: float = 0.0, r: float = 0.0) -> Command:
-        """Move the TCP straight to a pose in the base frame, turning about one axis.
+        """Move the TCP along a straight line to a pose in the base frame, while the tool turns about one axis.
 
-        If the pose is out of reach, the TCP approaches it until the arm cannot continue, which violates a limit.
-        PolyScope uses this: it writes a node that moves in a direction until contact as a move to a pose 1000 m away.
+        If the pose is out of reach, the TCP approaches it until the arm cannot continue, and `advance` then raises
+        `LimitViolation`. PolyScope relies on this: for a node that moves in a direction until a contact, it writes a
+        move to a pose that is 1000 m away.
 
         Args:
             pose: Pose of the TCP, shape (6,), in m and rad.
@@ -201,19 +208,19 @@ class MotionGenerator:
     def movec(
         self, via: Sequence[float], to: Sequence[float], a: float = 1.2, v: float = 0.25, r: float = 0.0, mode: int = 0
     ) -> Command:
-        """Move the TCP along the circle through one pose to another.
+        """Move the TCP along an arc through one pose to another pose.
 
         Args:
-            via: Pose on the circle, shape (6,), in m and rad. Only its position has an effect.
+            via: Pose on the arc, shape (6,), in m and rad. Its orientation is ignored.
             to: Pose at the end, shape (6,), in m and rad.
             a: Acceleration, in m/s².
             v: Speed, in m/s.
             r: Blend radius, in m.
-            mode: 0 turns the tool to the orientation of `to`; 1 keeps its orientation relative to the path.
+            mode: 0 turns the tool to the orientation of `to`. 1 keeps the orientation of the tool relative to the path.
 
         Raises:
             BadValue: If an argument is invalid.
-            OutOfReach: If the points are not on a circle.
+            OutOfReach: If no circle passes through the start and both poses.
         """
         if mode not in (0, 1):
             raise BadValue(f"the mode of an arc is {mode!r}; expected 0 or 1")
@@ -227,7 +234,7 @@ class MotionGenerator:
         return self._follow_path(path, start, blend, a, v, 0.0, r)
 
     def movep(self, pose: Sequence[float], a: float = 1.2, v: float = 0.25, r: float = 0.0) -> Command:
-        """Move like `movel`. With blends between such moves, the tool keeps about the same speed."""
+        """Move like `movel`. If such moves are joined with blends, the tool keeps approximately the same speed."""
         return self.movel(pose, a, v, 0.0, r)
 
     def optimovel(self, pose: Sequence[float], a: float, v: float, r: float) -> Command:
@@ -237,22 +244,22 @@ class MotionGenerator:
     def servoc(self, pose: Sequence[float], a: float, v: float, r: float) -> Command:
         """Move like `movel`.
 
-        A controller also follows a circular blend; here, only the straight part is modelled.
+        A real controller also blends with an arc. The simulator models only the straight line.
         """
         return self.movel(pose, a, v, 0.0, r)
 
     # -- set-points, speeds, stops -----------------------------------------------------------------
 
     def servoj(self, q: Sequence[float], t: float, lookahead_time: float, gain: float) -> Command:
-        """Follow joint positions for a cycle, or for `t` s if that is longer.
+        """Follow joint positions for one cycle, or for `t` seconds if this is longer.
 
         See the module `streamed_motion`.
 
         Args:
             q: Joint positions, shape (6,), in rad.
             t: Time of the set-point, in s.
-            lookahead_time: Look-ahead time, in s; zero on firmware without it.
-            gain: Gain; zero on firmware without it.
+            lookahead_time: Look-ahead time, in s; zero on firmware that does not have this argument.
+            gain: Gain; zero on firmware that does not have this argument.
 
         Raises:
             BadValue: If an argument is not such a number.
@@ -282,7 +289,7 @@ class MotionGenerator:
         )
 
     def speedj(self, qd: Sequence[float], a: float, t: float | None) -> Command:
-        """Change the joint speeds to `qd`, and keep them.
+        """Accelerate the joints to the speeds `qd`, and keep these speeds.
 
         Args:
             qd: Joint speeds, shape (6,), in rad/s.
@@ -295,7 +302,7 @@ class MotionGenerator:
         return self._begin(JointSpeed(checked(qd, "joint speeds"), self._at_most(a), self._time(t)))
 
     def speedl(self, xd: Sequence[float], a: float, t: float | None, a_rot: float | None = None) -> Command:
-        """Change the speed of the TCP to `xd`, and keep it.
+        """Accelerate the TCP to the speed `xd`, and keep this speed.
 
         Args:
             xd: Speed in the base frame, shape (6,), in m/s and rad/s.
@@ -309,7 +316,7 @@ class MotionGenerator:
         return self._begin(self._tool_speed(checked(xd, "a tool speed"), a, a_rot, self._time(t)))
 
     def stopj(self, a: float) -> Command:
-        """Brake all joints in proportion; the command ends at rest.
+        """Brake all joints in proportion. The command ends when the arm is at rest.
 
         The fastest joint brakes with `a` rad/s², or less if the model's limit is lower.
 
@@ -319,7 +326,7 @@ class MotionGenerator:
         return self._begin(JointSpeed(REST, self._at_most(a), None))
 
     def stopl(self, a: float, a_rot: float | None = None) -> Command:
-        """Brake the tool along its direction; the command ends at rest.
+        """Brake the tool along the direction of its motion. The command ends when the arm is at rest.
 
         Args:
             a: Deceleration, in m/s².
@@ -330,9 +337,9 @@ class MotionGenerator:
         return self._begin(self._tool_speed(REST, a, a_rot, None))
 
     def release(self) -> None:
-        """End the commands and brake to rest.
+        """End the current command, and brake until the arm is at rest.
 
-        If the last path move is in its blend and no command follows, it continues to its end.
+        If the current command is a path move that waits to be blended with the next one, it continues to its end.
         """
         if isinstance(self._command, PathMove) and self._command.blends:
             return
@@ -347,8 +354,8 @@ class MotionGenerator:
         Args:
             dynamics: Dynamics of the arm with its rotors and its payload; gravity has no effect.
             motors: Motors of the arm.
-            torque: Joint torques, shape (6,), in Nm, including external torques.
-            friction: Fraction of its friction that acts on each joint, shape (6,).
+            torque: Joint torques including external torques, shape (6,), in Nm.
+            friction: For each joint, the fraction of the friction that is not compensated, shape (6,).
         """
         return self._begin(TorqueMotion(dynamics, motors, torque, friction, self._limits.acceleration))
 
@@ -380,30 +387,33 @@ class MotionGenerator:
         r: float,
         is_bounded: bool = False,
     ) -> Command:
-        """Begin a path. If `is_bounded`, lower `a` and `v` to the joint limits even on a tool path."""
+        """Begin a path move. If `is_bounded`, lower `a` and `v` to the joint limits, even for a tool path."""
         radius = _not_negative(r, "a blend radius")
+        # A path to the current pose may have a length of some 1e-17 m, which depends on the C library.
+        length = path.length if path.length > _NOTHING else 0.0
         if _not_negative(t, "a time") > 0.0:
             speed, acceleration = timed(max(path.length, _SHORTEST), t, *path.fastest())
         else:
             speed, acceleration = positive(v, "a speed"), positive(a, "an acceleration")
-            if is_bounded or isinstance(path, JointPath):
+            if (is_bounded and length) or isinstance(path, JointPath):
                 fastest, hardest = path.fastest()
                 speed, acceleration = min(speed, fastest), min(acceleration, hardest)
-        profile = Trapezoid(path.length, speed, acceleration)
+        profile = Trapezoid(length, speed, acceleration)
         if blend is not None and profile.duration > 0.0:
-            # Speed up no faster than the old speed decreases, so that the sum never exceeds the larger of both.
+            # Do not accelerate faster than the old speed decreases, so that the sum of both speeds never exceeds the
+            # larger one.
             rise = min(acceleration, profile.peak / (blend.duration * max(self.scaling, 0.01)))
-            profile = Trapezoid(path.length, profile.peak, acceleration, rise)
+            profile = Trapezoid(length, profile.peak, acceleration, rise)
         if self._command is not None and blend is None and self.scaling == self.speed_fraction:
             self.scaling, self._rise = 0.0, self._parameters.move_rate
         return self._begin(PathMove(path, profile, start, blend, radius))
 
     def _take_over(self) -> tuple[list[float], Blend | None]:
-        """Return the start of a path, and the blend from the current motion to it."""
+        """Return the start of a new path, and the blend from the current motion to this path."""
         q, qd, _ = self.setpoint
-        # Brake evenly, with at most the gentle deceleration.
+        # Duration of a braking with constant deceleration, which is at most `_gentle` for each joint.
         duration = max(abs(v) / limit for v, limit in zip(qd, self._gentle, strict=True))
-        if duration < 1e-9:  # s: at rest, or too slow to matter; a blend divides by its duration
+        if duration < 1e-9:  # the arm is at rest, or slow enough to be stopped at once; a blend divides by its duration
             return list(q), None
         if isinstance(self._command, PathMove) and self._command.blends:
             corner, duration = self._command.corner()
@@ -420,11 +430,11 @@ class MotionGenerator:
 
     @property
     def _overrun(self) -> float:
-        """Scaled time, in s, by which the last cycle exceeded the time of its command."""
+        """Scaled time, in s, by which the last cycle exceeded the duration of its command."""
         return 0.0 if self._command is None else self._command.overrun
 
     def _time(self, t: float | None) -> float | None:
-        """Return the remaining part of a time."""
+        """Return a duration minus `_overrun`; None if the duration is None."""
         return None if t is None else _not_negative(t, "a time") - self._overrun
 
     def _at_most(self, a: float) -> list[float]:

@@ -1,9 +1,10 @@
-"""Paths from rest to rest: joint motions, lines and circles.
+"""Path moves from rest to rest: joint motions, lines and arcs.
 
-The commands are movej for joint motions, movel, movep and servoc for lines, and movec for circles.
-A `MotionPath` returns the joint positions at a distance along the path. A `Trapezoid` returns the distance over time:
-acceleration, constant speed, braking, like the drawing in the manual of the pendant (cited from memory). A `Blend`
-takes over the speed of the previous motion. The blending of a controller is not published, so it is assumed.
+The commands are movej for joint motions, movel, movep and servoc for lines, and movec for arcs. A `MotionPath` returns
+the joint positions at a distance along the path. A `Trapezoid` returns this distance as a function of time. It consists
+of acceleration, constant speed and deceleration, like the drawing in the manual of the pendant (cited from memory). A
+`Blend` takes over the speed of the previous motion. The blending of real controllers is not published, so it is
+assumed.
 """
 
 from __future__ import annotations
@@ -19,23 +20,23 @@ from urlink.arm.parameters import number
 from ..setpoint_sources import REST, Setpoint
 from .joint_limits import ArmWithTool, LimitViolation
 
-#: Distance, in m, that counts at least as much as a turn of 1 rad, so that a tool that turns in place takes time.
-#: Assumed.
+#: Length, in m, to which a rotation of 1 rad is converted (assumed). The length of a tool path is at least the
+#: converted rotation, so that a rotation without a translation takes time.
 RADIAN = number("metres_per_turn_simulated")
 
-# Number of samples of a tool path for its maximum speed, and the step in rad between samples that counts as a jump
-# through a singularity.
+# Number of samples of a tool path from which its maximum speed is computed, and difference in rad between two samples
+# above which a joint jumps because of a singularity.
 _SAMPLES, _JUMP = 64, 0.5
 
 
 class Command(ABC):
-    """A command that has begun.
+    """Motion command that has begun.
 
     Attributes:
-        is_over: Whether the function that began it returns. The motion has ended, has come within its blend radius of
-            the target, has lasted as long as requested, or was preempted.
-        is_at_rest: Whether the joints are at rest until the next command.
-        overrun: Scaled time, in s, by which the last cycle exceeded the requested time.
+        is_over: Whether the URScript function that began the command returns now. It returns when the motion has ended,
+            has come within the blend radius of its target, has lasted as long as requested, or was preempted.
+        is_at_rest: Whether the joints are at rest, and stay at rest until the next command.
+        overrun: Scaled time, in s, by which the last cycle exceeded the requested duration.
     """
 
     is_over = is_at_rest = False
@@ -57,15 +58,15 @@ class Command(ABC):
 
 
 class Trapezoid:
-    """Speed profile from rest to rest over a length, as fast as the limits allow.
+    """Speed profile from rest to rest over a given length, in the shortest time that the limits allow.
 
-    The limits are a speed and two accelerations. The speed over time is a trapezoid, or a triangle if the length is too
-    short to reach the speed.
+    The limits are a maximum speed, an acceleration and a deceleration. As a function of time, the speed is a trapezoid,
+    or a triangle if the length is too short to reach the maximum speed.
 
     Attributes:
-        length: Length of the path, in the unit of the speed and the accelerations.
+        length: Length of the path, in m or rad, like the speed and the accelerations.
         duration: Duration, in s.
-        peak: Maximum speed.
+        peak: Highest speed of the profile.
     """
 
     def __init__(self, length: float, speed: float, acceleration: float, rise: float | None = None) -> None:
@@ -74,11 +75,11 @@ class Trapezoid:
         Args:
             length: Length of the path.
             speed: Maximum speed.
-            acceleration: Deceleration while slowing down.
-            rise: Acceleration while speeding up; None for `acceleration`.
+            acceleration: Deceleration at the end of the path.
+            rise: Acceleration at the beginning of the path; None selects `acceleration`.
         """
         rise = acceleration if rise is None else rise
-        # Speeding up to v and slowing down from v take a length of v² times this number.
+        # Accelerating to a speed v and decelerating from v need a length of v² times this number.
         ramps = 0.5 / rise + 0.5 / acceleration
         peak = min(speed, math.sqrt(length / ramps))
         self.length, self.peak = length, peak
@@ -89,9 +90,9 @@ class Trapezoid:
         self.duration = self._down + peak / acceleration
 
     def at(self, time: float) -> tuple[float, float, float]:
-        """Return distance, speed and acceleration at a time, in s, after the start.
+        """Return the distance, the speed and the acceleration `time` seconds after the start.
 
-        After `duration`, the motion is at rest at the end.
+        After `duration`, the distance is `length`, and the speed is zero.
         """
         if time >= self.duration:
             return self.length, 0.0, 0.0
@@ -104,10 +105,11 @@ class Trapezoid:
 
 
 def timed(length: float, duration: float, speed: float, acceleration: float) -> tuple[float, float]:
-    """Return the speed and the acceleration with which a length takes `duration` s.
+    """Return the speed and the acceleration with which a motion over a length takes `duration` seconds.
 
-    If the limits do not allow this, the length takes the shortest possible time. If they do, a third of the time each
-    is used for speeding up, constant speed and slowing down. A real controller's choice is unknown.
+    If the limits allow it, acceleration, constant speed and deceleration take a third of the time each. Otherwise the
+    maximum acceleration is used. If the limits do not allow this duration, the motion takes the shortest possible time.
+    The choice of a real controller is unknown.
 
     Args:
         length: Length of the path.
@@ -118,7 +120,7 @@ def timed(length: float, duration: float, speed: float, acceleration: float) -> 
     even = 1.5 * length / duration, 4.5 * length / duration**2
     if even[0] <= speed and even[1] <= acceleration:
         return even
-    # At the maximum acceleration, length / v + v / acceleration = duration.
+    # With the maximum acceleration, length / v + v / acceleration = duration.
     root = (acceleration * duration) ** 2 - 4.0 * acceleration * length
     if root < 0.0:
         return speed, acceleration
@@ -129,12 +131,13 @@ def timed(length: float, duration: float, speed: float, acceleration: float) -> 
 
 
 class Blend:
-    """Difference between the previous motion and a path, which is added to the path's set-points.
+    """Transition from the previous motion to a path: a difference that is added to the set-points of the path.
 
-    A path begins at rest, at a position where the arm could come to rest. The blend begins with the difference to the
-    current position and with the current speed, and ends with zero difference and speed. It consists of six cubics of
-    the time. So the sum of path and blend changes from the old motion to the path with a continuous speed. If the
-    distance is half the speed times the duration, the cubics are parabolas, which are constant decelerations.
+    A path begins at rest, at a position where the arm could come to rest. The blend begins with the difference between
+    the current position and the start of the path, and with the current speed. It ends with zero difference and zero
+    speed. For each joint, the difference is a cubic polynomial of the time. Therefore the sum of path and blend changes
+    from the old motion to the path with a continuous speed. If the difference is half the speed times the duration, the
+    polynomial is a parabola, so that the deceleration is constant.
 
     Attributes:
         duration: Duration, in s.
@@ -143,10 +146,10 @@ class Blend:
     def __init__(
         self, way: Sequence[float], qd: Sequence[float], duration: float, acceleration: Sequence[float]
     ) -> None:
-        """Compute the blend, which takes longer if a joint would exceed its acceleration.
+        """Compute the blend. Its duration is increased if a joint would exceed its maximum acceleration.
 
         Args:
-            way: Distance of each joint to the path, in rad.
+            way: Distance of each joint to the start of the path, in rad.
             qd: Current speed of each joint, in rad/s.
             duration: Minimum duration, in s.
             acceleration: Maximum acceleration of each joint, in rad/s².
@@ -162,7 +165,7 @@ class Blend:
             duration *= 1.25
         self.duration = duration
         self._time = 0.0
-        # With u = time / duration, q = -way + speed u + c u² + e u³. At u = 1, distance and speed are zero.
+        # With u = time / duration, q = -way + b u + c u² + e u³. At u = 1, q and its derivative are zero.
         self._cubics = [
             (-d, v * duration, 3.0 * d - 2.0 * v * duration, v * duration - 2.0 * d)
             for d, v in zip(way, qd, strict=True)
@@ -170,11 +173,11 @@ class Blend:
 
     @property
     def is_over(self) -> bool:
-        """Whether the blend has ended, so that it adds nothing."""
+        """Whether the blend has ended, so that it adds nothing to the path."""
         return self._time >= self.duration
 
     def advance(self, seconds: float) -> tuple[list[float], list[float], list[float]]:
-        """Return the differences of positions, speeds and accelerations `seconds` later."""
+        """Advance by `seconds`, and return the positions, speeds and accelerations to add to the path."""
         self._time += seconds
         if self.is_over:
             return REST, REST, REST
@@ -191,10 +194,11 @@ class Blend:
 
 
 class MotionPath(ABC):
-    """Joint positions as a function of the distance along a path.
+    """Path of the arm: the joint positions as a function of the distance along the path.
 
     Attributes:
-        length: Length of the path, in rad of the joint that moves furthest, or in m of the tool.
+        length: Length of the path: for a joint path, the distance of the joint that moves furthest, in rad; for a tool
+            path, the distance of the TCP, in m.
     """
 
     length: float
@@ -205,29 +209,29 @@ class MotionPath(ABC):
     @property
     @abstractmethod
     def end_pose(self) -> list[float]:
-        """Pose of the TCP at the end, in m and rad."""
+        """Pose of the TCP at the end of the path, in m and rad."""
 
     @abstractmethod
     def fastest(self) -> tuple[float, float]:
-        """Return the maximum speed and acceleration along the path within the limits of all joints."""
+        """Return the maximum speed and acceleration along the path at which no joint exceeds its limits."""
 
     @abstractmethod
     def setpoint(self, way: float, speed: float, acceleration: float, last: Setpoint, seconds: float) -> Setpoint:
-        """Return the set-point after the distance `way`; `last` is the path's previous set-point."""
+        """Return the set-point at the distance `way`; `last` is the previous set-point of the path."""
 
     @abstractmethod
     def end(self, near: list[float]) -> list[float]:
-        """Return the joint positions at the end of a path that has reached `near`."""
+        """Return the joint positions at the end of the path; `near` are the last joint positions on the path."""
 
     def left(self, q: list[float]) -> float:
-        """Return the distance of the TCP from the end, in m, for joint positions `q`."""
+        """Return the distance of the TCP from the end of the path, in m, for joint positions `q`."""
         return math.dist(self._arm.pose(q)[:3], self.end_pose[:3])
 
 
 class JointPath(MotionPath):
-    """A straight line in joint space: six joints that start and arrive together.
+    """Straight line in joint space: all six joints start and arrive together.
 
-    Lengths are those of the joint that moves furthest, in rad.
+    Its length is the distance of the joint that moves furthest, in rad.
     """
 
     def __init__(self, arm: ArmWithTool, start: list[float], end: list[float]) -> None:
@@ -261,7 +265,7 @@ def _within(limits: Sequence[float], shares: Sequence[float]) -> float:
 
 
 class ToolPath(MotionPath):
-    """A path of the TCP along a curve, by inverse kinematics from joint positions near `near`."""
+    """Path of the TCP along a curve. Inverse kinematics compute the joint positions, beginning near `near`."""
 
     def __init__(self, arm: ArmWithTool, curve: Curve, near: list[float]) -> None:
         super().__init__(arm)
@@ -274,9 +278,9 @@ class ToolPath(MotionPath):
         return self._curve.end
 
     def fastest(self) -> tuple[float, float]:
-        """Return the maximum speed and acceleration within the limits of all joints, from samples.
+        """Return the maximum speed and acceleration at which no joint exceeds its limits, computed from samples.
 
-        The part behind a singular posture, or out of reach, does not count, because the arm does not reach it.
+        Samples after a singular posture, or out of reach, are ignored, because the arm does not get there.
         """
         limits, part = self._arm.limits, self.length / _SAMPLES
         speed = acceleration = math.inf
@@ -296,7 +300,7 @@ class ToolPath(MotionPath):
         return speed, acceleration
 
     def setpoint(self, way: float, speed: float, acceleration: float, last: Setpoint, seconds: float) -> Setpoint:
-        """Return the set-point after the distance `way`; `last` is the previous set-point.
+        """Return the set-point at the distance `way`; `last` is the previous set-point of the path.
 
         Raises:
             LimitViolation: If the pose is out of reach.
@@ -306,10 +310,10 @@ class ToolPath(MotionPath):
         return self._arm.setpoint(self._curve.pose(way / self.length), last, seconds)
 
     def end(self, near: list[float]) -> list[float]:
-        """Return the joint positions at the end, on the current branch of the inverse kinematics.
+        """Return the joint positions at the end of the path, on the current branch of the inverse kinematics.
 
         Raises:
-            LimitViolation: If the end is out of reach on this branch.
+            LimitViolation: If the end of the path is out of reach on this branch.
         """
         if self._end_joints is None:
             self._end_joints = self._arm.joints(self.end_pose, near)
@@ -317,9 +321,9 @@ class ToolPath(MotionPath):
 
 
 class PathMove(Command):
-    """One path move, which is over at its end or within its blend radius of the end.
+    """Path move. It is over when the arm has reached the end of the path, or is within the blend radius of the end.
 
-    A blend begins only in the second half of the length. This is assumed, because a controller ignores blends that
+    A blend begins only in the second half of the path. This is assumed, because a controller ignores blends that
     overlap.
     """
 
@@ -331,11 +335,14 @@ class PathMove(Command):
 
     @property
     def blends(self) -> bool:
-        """Whether the program has continued before the arm arrived, so that the next motion blends."""
+        """Whether the move is over although the arm still moves, so that the next motion blends with this one."""
         return self.is_over and not self.is_at_rest and self._way[1] > 0.0
 
     def corner(self) -> tuple[list[float], float]:
-        """Return where the joints come to rest if they slow down evenly, and the seconds until then."""
+        """Return the joint positions at the end of the path, and the time to get there.
+
+        The time is in s, for a constant deceleration from the current speed.
+        """
         way, speed = self._way
         return self._path.end(self._last.q), 2.0 * (self._profile.length - way) / speed
 
@@ -365,7 +372,7 @@ class PathMove(Command):
         if arrives and self._blend is None:
             self.is_at_rest = self.is_over = True
         elif self._blend_begins(way, setpoint.q):
-            # Compute the end now, so that a corner out of reach is a violation in this cycle.
+            # Compute the end of the path now, so that an end out of reach raises `LimitViolation` in this cycle.
             self._path.end(self._last.q)
             self.is_over = True
         return setpoint
@@ -376,17 +383,17 @@ class PathMove(Command):
         return self._path.left(q) <= self._radius
 
     def restart(self, blend: Blend) -> None:
-        """Continue from rest at another position: the blend returns to the path."""
+        """Continue from another position at which the arm has stopped; the blend returns to the path."""
         self._blend = blend
         self._last = Setpoint(self._last.q, REST, REST)
         self._way = (self._way[0], 0.0)
 
     @property
     def end_pose(self) -> list[float]:
-        """Pose of the TCP at the end, in m and rad."""
+        """Pose of the TCP at the end of the path, in m and rad."""
         return list(self._path.end_pose)
 
     @property
     def place(self) -> list[float]:
-        """Joint positions on the path itself, without the blend from an older motion."""
+        """Current joint positions on the path itself, without the blend from an older motion."""
         return self._last.q

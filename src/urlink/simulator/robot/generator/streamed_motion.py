@@ -1,20 +1,21 @@
-"""Motions without a path: set-points of the joints, and speeds.
+"""Motion commands without a path: commands for set-points of the joints, and commands for speeds.
 
-The command for set-points is servoj. The commands for speeds are speedj, speedl, stopj and stopl.
-How a controller follows set-points is not published, except the purpose of the arguments: the look-ahead time smooths,
-the gain sharpens. The model here is assumed and has these properties. Each joint follows like a critically damped
-spring. It lags behind a set-point of constant speed by 0.9 of the look-ahead time plus two divided by the gain, in
-seconds: 34 ms for 0.03 and 300. It never overshoots a set-point that is at rest. On firmware without the two arguments,
-the lag is the time of the set-point.
+The command for set-points is servoj. The commands for speeds are speedj, speedl, stopj and stopl; a stop is a speed of
+zero. The algorithm with which a real controller follows set-points is not published, only the purpose of two arguments:
+a longer look-ahead time makes the motion smoother, and a higher gain makes it follow more closely. The model in this
+module is assumed. Each joint follows the set-points like a critically damped spring. If the set-points move at constant
+speed, the joint lags behind them by 0.9 of the look-ahead time plus two divided by the gain, in seconds. For a look-ahead
+time of 0.03 s and a gain of 300, the lag is 34 ms. A joint never overshoots a set-point that is at rest. On firmware
+without the two arguments, the lag is the time of the set-point.
 
-A set-point that holds for several cycles is approached on a straight line over them. If none follows, the arm comes to
-rest on the last one.
+If the time of a set-point is several cycles long, the goal of the joints moves on a straight line to the set-point
+during these cycles. If no other set-point follows, the arm comes to rest at the last set-point.
 
-The scaling stretches the time of a set-point: at 50 %, a set-point of 2 ms lasts 4 ms, and at 0 it does not end.
-Whether it also stretches the lag is a parameter (`ScalingParameters.servoj_lag_stretches`).
+The speed scaling stretches the time of a set-point. At 50 %, a set-point of 2 ms lasts 4 ms; at 0 %, it does not end.
+The parameter `ScalingParameters.servoj_lag_stretches` determines whether the scaling also stretches the lag.
 
-A stop is a speed of zero. The speed slider stretches the time of a speed. At a slider of 25 %, it lasts four times as
-long, at a quarter of the speed, and at 0 it does not end. The vendor's client library tests that a spline of such
+The speed scaling also stretches the time of a speed command. At 25 %, the command lasts four times as long, with a
+quarter of the speed; at 0 %, it does not end. A test of the vendor's client library requires that a spline of speed
 commands ends on its path.
 """
 
@@ -34,27 +35,28 @@ from .joint_limits import ArmWithTool, JointLimits, LimitViolation, moved
 from .path_motion import Command
 
 _OF_LOOKAHEAD = number("servoj_lag_of_lookahead")
-# Tolerances in rad and rad/s within which a joint has arrived.
+# Tolerances in rad and rad/s within which a joint has arrived at a set-point.
 _NEAR, _SLOW = 1e-9, 1e-7
 
 
 def lag_of(t: float, lookahead_time: float, gain: float) -> float:
-    """Return the lag of the arm behind a set-point of constant speed, in s."""
+    """Return the lag of the arm behind set-points that move at constant speed, in s."""
     if lookahead_time > 0.0 and gain > 0.0:
         return _OF_LOOKAHEAD * lookahead_time + 2.0 / gain
     return t
 
 
 class ServoMotion(Command):
-    """Motion to one set-point.
+    """Motion to one set-point of servoj.
 
     Attributes:
-        is_over: Whether one cycle of scaled time has passed, or `t` s of it if that is longer.
+        is_over: Whether the time of the set-point has passed: `t` seconds of scaled time, but at least one cycle.
         goal: Current point on the line to the set-point, in rad.
         overrun: Scaled time, in s, by which the last cycle exceeded the time of the set-point. If the next set-point
-            follows in the next cycle, it begins with this time.
-        speeds: Six speeds, in rad per s of the time of the lag. This is scaled time if the lag stretches.
-        excess: Six additional speeds, in rad/s, of a motion that was taken over while the scaling was close to 0.
+            follows in the next cycle, its elapsed time begins with this value.
+        speeds: Six joint speeds, in rad/s. If the lag stretches, they are speeds in scaled time.
+        excess: Six additional joint speeds, in rad/s, which decay. They are not zero if a motion was taken over while
+            the scaling was close to 0.
     """
 
     def __init__(
@@ -74,11 +76,11 @@ class ServoMotion(Command):
 
         Args:
             limits: Limits of the joints.
-            begin: Joint positions at the begin of the line, in rad.
+            begin: Joint positions at the beginning of the line to the set-point, in rad.
             end: Joint positions of the set-point, in rad.
             t: Time of the set-point, in s.
             lag: Lag, in s.
-            begun: Elapsed time of the set-point, in s.
+            begun: Elapsed time of the set-point at its beginning, in s.
             speeds: See `speeds` above.
             excess: See `excess` above.
             stretches: Whether the scaling stretches the lag.
@@ -93,7 +95,8 @@ class ServoMotion(Command):
         """Return the set-point one cycle later.
 
         Raises:
-            LimitViolation: If the target is too far for the maximum speed of a joint, or out of its range.
+            LimitViolation: If a joint cannot reach its target in time at its maximum speed, or if the target is out of
+                range.
         """
         lag, duration = max(self._lag, seconds), max(self._duration, seconds)
         if self._is_new:
@@ -111,7 +114,7 @@ class ServoMotion(Command):
         else:
             part = self._time / duration
             self.goal = [a + part * (b - a) for a, b in zip(self._begin, self._end, strict=True)]
-        # Time in which the joints follow, and the ratio of a speed in the controller's time to a speed in that time.
+        # Time by which the spring model advances, and factor that converts a speed of this model to a real speed.
         time, share = (passed, scaling) if self._stretches else (seconds, 1.0)
         if time <= 0.0 and not any(self.excess):
             return Setpoint(last.q, REST, [-v / seconds for v in last.qd])
@@ -124,7 +127,8 @@ class ServoMotion(Command):
         for position, speed, old_goal, goal, extra in zip(
             last.q, self.speeds, old_goals, self.goal, slowed, strict=True
         ):
-            # The deviation from the point that lags behind the moving goal decays exponentially.
+            # The spring model: the difference between the joint and the point that lags behind the moving goal decays
+            # exponentially.
             goal_speed = (goal - old_goal) / time if time > 0.0 else 0.0
             trail = lag * goal_speed
             error = position - old_goal + trail
@@ -143,14 +147,14 @@ class ServoMotion(Command):
         return Setpoint(q, qd, [(new - old) / seconds for new, old in zip(qd, last.qd, strict=True)])
 
     def _pass(self, passed: float, duration: float, seconds: float) -> None:
-        """Let scaled time pass; the set-point ends when its own time has passed."""
+        """Advance by scaled time; the set-point ends when its time has passed."""
         self._time += passed
         if not self.is_over and self._time > duration - 0.01 * seconds:
             self.is_over = True
             self.overrun = max(self._time - duration, 0.0)
 
     def _slowed(self, seconds: float) -> list[float]:
-        """Return the `excess` one cycle later; all joints slow down in proportion."""
+        """Return `excess` one cycle later; all joints slow down in proportion."""
         if not any(self.excess):
             return self.excess
         fastest = max(abs(v) / a for v, a in zip(self.excess, self._limits.acceleration, strict=True))
@@ -158,28 +162,30 @@ class ServoMotion(Command):
         return [left * v for v in self.excess]
 
     def _check(self, q: Sequence[float], horizon: float) -> None:
-        """Raise if a joint at its maximum speed could not reach its target in this time."""
+        """Raise if a joint cannot reach its target at its maximum speed in `horizon` seconds."""
         self._limits.check_target(self._end)
         allowed = self._limits.allowed_speed
         if all(map(le, map(abs, map(sub, self._end, q)), map(mul, allowed, repeat(horizon)))):
             return
         for joint, now, end, most in zip(JOINTS, q, self._end, allowed, strict=True):
             if abs(end - now) > most * horizon:
-                raise LimitViolation(f"{joint}: a jump of {end - now:.4f} rad to a servoj target")
+                raise LimitViolation(f"{joint}: the servoj target is {end - now:.4f} rad away; it is out of reach")
 
 
 @lru_cache(maxsize=256)
 def _follower(lag: float, seconds: float) -> tuple[float, float]:
-    """Return the spring's rate in 1/s, and the fraction of a deviation left after a cycle."""
+    """Return the rate of the spring in 1/s, and the fraction of a deviation that remains after `seconds`."""
     omega = 2.0 / lag
     return omega, math.exp(-omega * seconds)
 
 
 class JointSpeed(Command):
-    """All joints change their speeds in proportion until each has its own, and keep it.
+    """Motion to target speeds of the joints.
+
+    All joints change their speeds in proportion, and then keep the target speeds.
 
     Attributes:
-        is_over: Whether `t` s of scaled time have passed, or, if `t` is None, the speed is reached.
+        is_over: Whether `t` seconds of scaled time have passed. If `t` is None, whether the target speeds are reached.
     """
 
     def __init__(self, qd: Sequence[float], acceleration: Sequence[float], t: float | None) -> None:
@@ -188,7 +194,7 @@ class JointSpeed(Command):
         Args:
             qd: Six speeds, in rad/s.
             acceleration: Maximum acceleration of each joint, in rad/s².
-            t: Scaled time until the command ends, in s; None ends it when the speed is reached.
+            t: Scaled time until the command ends, in s. If None, it ends when the target speed is reached.
         """
         self._target, self._acceleration = list(qd), acceleration
         self._left = t
@@ -218,13 +224,15 @@ class JointSpeed(Command):
 
 
 class ToolSpeed(Command):
-    """The tool changes its speed to another one, along a straight line, and keeps it.
+    """Motion to a target speed of the tool.
 
-    If the tool has to stop, but its line ends or is singular there, the joints brake instead.
+    The tool changes its speed at a constant rate, and then keeps the target speed.
+
+    If the tool has to stop, but the arm cannot continue on the line of the tool, the joints brake instead.
 
     Attributes:
-        is_over: Whether `t` s of scaled time have passed. If `t` is None, whether the speed is reached, or, for a stop,
-            the arm is at rest.
+        is_over: Whether `t` seconds of scaled time have passed. If `t` is None, whether the target speed is reached;
+            for a stop, whether the arm is at rest.
     """
 
     def __init__(
@@ -237,7 +245,9 @@ class ToolSpeed(Command):
         t: float | None,
         old: ToolSpeed | None,
     ) -> None:
-        """Begin a change of the tool speed; after an `old` one, the line continues exactly.
+        """Begin a change of the tool speed.
+
+        If `old` is a tool speed with the same TCP, its exact speed is continued, so that the line has no kink.
 
         Args:
             arm: Arm with its tool.
@@ -245,8 +255,8 @@ class ToolSpeed(Command):
             xd: Speed of the TCP in the base frame, in m/s and rad/s.
             a: Acceleration, in m/s².
             a_rot: Angular acceleration, in rad/s².
-            t: Scaled time until the command ends, in s; None ends it when the speed is reached.
-            old: Previous command, if it is a tool speed.
+            t: Scaled time until the command ends, in s. If None, it ends when the target speed is reached.
+            old: Previous command if it is a tool speed, or None.
         """
         self._arm = arm
         self._target, self._a, self._a_rot, self._left = list(xd), a, a_rot, t
@@ -294,7 +304,7 @@ class ToolSpeed(Command):
         return setpoint
 
     def restart(self, begin: Setpoint) -> None:
-        """Continue from rest at another position."""
+        """Continue from another position, at which the arm has stopped."""
         self._pose = self._arm.pose(begin.q)
         self._speed = list(REST)
 
@@ -305,7 +315,7 @@ class ToolSpeed(Command):
 
 
 def _passed(left: float, passed: float, seconds: float) -> tuple[float, float]:
-    """Return the rest of a time, and how much the cycle in which it ended exceeded it."""
+    """Return the remaining time, and the time by which this cycle exceeded it."""
     rest = left - passed
     if rest > 0.01 * seconds:
         return rest, 0.0
@@ -313,7 +323,7 @@ def _passed(left: float, passed: float, seconds: float) -> tuple[float, float]:
 
 
 def _towards(now: list[float], target: list[float], most: float) -> tuple[list[float], bool]:
-    """Return a vector closer to the target by at most `most`, and whether it is the target."""
+    """Return `now`, changed towards the target by at most `most`, and whether the target is reached."""
     way = [b - a for a, b in zip(now, target, strict=True)]
     distance = math.hypot(*way)
     if distance <= most:

@@ -1,10 +1,10 @@
-"""Built-in functions of a controller, one module for each family."""
+"""Built-in functions of URScript; each module contains one family of functions."""
 
 from __future__ import annotations
 
 from urlink.protocol.firmware import Firmware
 
-# Import these modules, because they declare functions.
+# These modules declare functions when they are imported.
 from . import (  # noqa: F401
     force,
     inputs_outputs,
@@ -24,5 +24,5 @@ __all__ = ["BUILTINS", "find"]
 
 
 def find(name: str, firmware: Firmware) -> Builtin | None:
-    """Return the function of that name in a firmware; None if there is none."""
+    """Return the built-in function with this name; None if the firmware has no such function."""
     return next((each for each in BUILTINS.get(name, ()) if each.is_in(firmware)), None)

@@ -1,7 +1,8 @@
 """Declaration of built-in functions, and checks of their arguments.
 
-Each is a Python function of the calling thread and of the parameters, with the names and defaults of the URScript
-function. A function that takes time is a generator that yields once for every cycle that it waits.
+A built-in function is a Python function. Its arguments are the calling thread and the parameters of the URScript
+function, with the same names and defaults. A function that takes time is a generator, which yields once for every cycle
+that it waits.
 """
 
 from __future__ import annotations
@@ -19,22 +20,22 @@ from ..values import NUMBERS, PoseValue, type_name
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-#: Default value of a parameter that must be given.
+#: Default value that marks a required parameter.
 REQUIRED = inspect.Parameter.empty
 
 
 @dataclass(frozen=True, eq=False)
 class Builtin:
-    """A built-in function.
+    """Built-in function of URScript.
 
     Attributes:
-        function: Python function. It is called with the thread and every parameter, by position.
-        parameters: Names and default values.
-        takes_time: Whether the function is a generator.
+        function: Python function. It is called with the thread and all parameters as positional arguments.
+        parameters: Names and default values of the parameters.
+        takes_time: Whether the function takes time, and is therefore a generator.
         in_secondary: Whether a `sec` program may call it.
-        is_variadic: Whether it accepts any arguments, named or not.
+        is_variadic: Whether the function accepts any arguments, with or without names.
         since: First firmware of each generation that has the function.
-        until: First firmware that does not have it, or has another form of it.
+        until: First firmware that does not have the function, or has another form of it.
     """
 
     function: Callable[..., Any]
@@ -50,7 +51,7 @@ class Builtin:
         return firmware in self.since and (self.until is None or firmware not in self.until)
 
 
-#: Name -> forms of the function. Each firmware has at most one of them.
+#: Name -> forms of the function. Each firmware has at most one of these forms.
 BUILTINS: dict[str, list[Builtin]] = {}
 
 
@@ -62,7 +63,7 @@ def declare(
     since: str = "1.0",
     until: str | None = None,
 ) -> Callable[[F], F]:
-    """Add a function to `BUILTINS`, under its own name or `name`, and under its aliases."""
+    """Return a decorator that adds a function to `BUILTINS`, under its own name or `name`, and under aliases."""
 
     def enter(function: F) -> F:
         signature = list(inspect.signature(function).parameters.values())[1:]
@@ -86,14 +87,14 @@ def declare(
 
 
 def number(value: Any, what: str) -> float:
-    """Check that a value is a number."""
+    """Return a value, after checking that it is a number."""
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return value
     raise type_error(f"{what} has the type {type_name(value)}; expected a number")
 
 
 def number_within(value: Any, what: str, low: float, high: float) -> float:
-    """Check that a value is a number within a range."""
+    """Return a value, after checking that it is a number from `low` to `high`."""
     found = number(value, what)
     if not low <= found <= high:
         raise Fault(f"{what} is {found:g}; expected {low:g} to {high:g}")
@@ -101,7 +102,7 @@ def number_within(value: Any, what: str, low: float, high: float) -> float:
 
 
 def integer(value: Any, what: str, low: int = -(2**31), high: int = 2**31 - 1) -> int:
-    """Check that a value is an integer within a range, or a float with such a value (assumed)."""
+    """Return an integer from `low` to `high`. A float with such a value is accepted too (assumed)."""
     if value.__class__ is float and value.is_integer():
         value = int(value)
     if value.__class__ is not int:
@@ -112,14 +113,14 @@ def integer(value: Any, what: str, low: int = -(2**31), high: int = 2**31 - 1) -
 
 
 def boolean(value: Any, what: str) -> bool:
-    """Check that a value is a truth value."""
+    """Return a value, after checking that it is a truth value."""
     if value is True or value is False:
         return bool(value)
     raise type_error(f"{what} has the type {type_name(value)}; expected True or False")
 
 
 def string(value: Any, what: str) -> str:
-    """Check that a value is a string."""
+    """Return a value, after checking that it is a string."""
     if value.__class__ is str:
         return value
     raise type_error(f"{what} has the type {type_name(value)}; expected a string")
@@ -149,19 +150,19 @@ def vector(value: Any, what: str, length: int) -> list[float]:
 
 
 def joints(value: Any, what: str) -> list[float]:
-    """Check that a value is a list of six numbers rather than a pose."""
+    """Return six numbers from a list. A pose is rejected."""
     if value.__class__ is PoseValue:
         raise type_error(f"{what} is a pose; expected a list")
     return vector(value, what, 6)
 
 
 def joints_or(value: Any, present: Sequence[float], what: str) -> list[float]:
-    """Return a list of six numbers; `present` if none is given."""
+    """Return six numbers from a list; `present` if the value is None."""
     return list(present) if value is None else joints(value, what)
 
 
 def six(value: Any, what: str) -> list[float]:
-    """Return six numbers, from a list or a pose."""
+    """Return six numbers from a list or a pose."""
     return vector(value, what, 6)
 
 

@@ -1,12 +1,14 @@
-"""Functions of force sensor, force mode, freedrive, direct torque and the arm's dynamics.
-For the model of the compliant arm, see `urlink.simulator.robot.generator.compliance`. Tests place the objects that it
-touches (`urlink.simulator.robot.surroundings`). Names, order and ranges of the arguments are from the vendor's manual
-(cited from memory). Two facts are assumed: the first release with a function, if no driver shows it, and that a number
-out of range is an error.
+"""Functions for the force sensor, force mode, freedrive, direct torque, and the dynamics of the arm.
 
-ur_rtde uses the functions of the dynamics on 5.23 and later, all without arguments. The following is assumed: their
-arguments, joint positions and speeds first, with the actual values as defaults. A matrix is a list of its rows. The
-mass matrix does not include the rotors unless they are requested.
+For the model of the compliant arm, see `urlink.simulator.robot.generator.compliance`. Tests add the objects that the
+arm touches (`urlink.simulator.robot.surroundings`). The names, the order and the ranges of the arguments are from the
+vendor's manual (cited from memory). Two things are assumed. The first is the release that introduced a function, if no
+driver shows it. The second is that a number out of range is an error.
+
+ur_rtde uses the functions for the dynamics on firmware 5.23 and later, always without arguments. Three things are
+assumed. The first is the arguments: joint positions and joint speeds come first, and their defaults are the actual
+values. The second is that a matrix is a list of rows. The third is that the mass matrix includes the rotors only if
+they are requested.
 """
 
 from __future__ import annotations
@@ -24,9 +26,9 @@ from .poses import tcp_of
 
 _NOWHERE = (0.0, 0.0, 0.0)
 _BASE = (0.0,) * 6
-# Work of each function that computes with the arm, in elements of a list.
+# Work that is counted for a function that computes with the model of the arm, in elements of a list.
 _COST = 400
-# Squared manipulability of the posture, in m⁶, below which the arm is near a singularity, and too near.
+# Squared manipulability, in m⁶, below which the arm is near a singularity; the same for too near.
 _CLOSE, _TOO_CLOSE = 1e-4, 1e-5
 
 
@@ -35,21 +37,21 @@ _CLOSE, _TOO_CLOSE = 1e-4, 1e-5
 
 @declare(since="3.0")
 def zero_ftsensor(thread: ScriptThread) -> None:
-    """Make the current force the zero of the sensor."""
+    """Make the current force the new zero of the sensor."""
     thread.world.zero_force()
 
 
 @declare(since="5.4")
 def tool_contact(thread: ScriptThread, direction: Any = (0, 0, 0, 0, 0, 0)) -> int:
-    """Return the cycles since a contact in that direction of the tool began; 0 without one.
+    """Return the number of cycles since a contact began; 0 if there is no contact.
 
-    Zeros mean any direction. Only the first three numbers are used. The result is the argument of
-    `get_actual_joint_positions_history`.
+    Only contacts that oppose a motion of the tool in `direction` are detected. Zeros select any direction. Only the
+    first three numbers are used. The result can be passed to `get_actual_joint_positions_history`.
     """
     return thread.world.contact_steps(six(direction, "tool_contact: direction")[:3])
 
 
-# The older of the two names reportedly has a sign error on real controllers, which is not modelled.
+# On real controllers, the function with the older name reportedly has a sign error. This error is not simulated.
 @declare(name="enable_external_ft_sensor", since="3.0")
 @declare(since="3.14/5.9")
 def ft_rtde_input_enable(
@@ -59,9 +61,9 @@ def ft_rtde_input_enable(
     sensor_measuring_offset: Any = _NOWHERE,
     sensor_cog: Any = _NOWHERE,
 ) -> None:
-    """Use the RTDE input `external_force_torque` as the force at the TCP.
+    """Enable or disable the RTDE input `external_force_torque` as source of the force at the TCP.
 
-    The mass and the positions have no effect.
+    The mass and the positions are ignored.
     """
     number(sensor_mass, "ft_rtde_input_enable: sensor_mass")
     vector(sensor_measuring_offset, "ft_rtde_input_enable: sensor_measuring_offset", 3)
@@ -76,7 +78,7 @@ def ft_rtde_input_enable(
 def force_mode(
     thread: ScriptThread, task_frame: Any, selection_vector: Any, wrench: Any, type: Any, limits: Any
 ) -> None:
-    """Let the arm yield along the selected axes of the frame until `end_force_mode`."""
+    """Begin force mode: the arm yields along the selected axes of the frame until `end_force_mode`."""
     thread.machine.spend(_COST)
     most = six(limits, "force_mode: limits")
     if min(most) < 0.0:
@@ -132,9 +134,9 @@ def freedrive_mode(thread: ScriptThread, freeAxes: Any = (1, 1, 1, 1, 1, 1), fea
 @declare(name="freedrive_mode", in_secondary=False, since="3.0", until="5.10")
 @declare(in_secondary=False, since="1.6")
 def teach_mode(thread: ScriptThread) -> None:
-    """Begin freedrive in all directions.
+    """Begin freedrive along all axes.
 
-    Every firmware has the older name of this function. Before 5.10, the newer name is an alias.
+    The function has had this name since 1.6. From 3.0 until before 5.10, `freedrive_mode` is an alias.
     """
     thread.world.freedrive([True] * 6, _BASE)
 
@@ -146,9 +148,9 @@ def end_freedrive_mode(thread: ScriptThread) -> None:
 
 @declare(since="5.10")
 def get_freedrive_status(thread: ScriptThread) -> int:
-    """Return 0 normal, 1 near a singularity, 2 too near for a good motion.
+    """Return 0 if the posture is normal, 1 if it is near a singularity, 2 if it is too near for a good motion.
 
-    The distances are assumed.
+    The limits between these values are assumed.
     """
     thread.machine.spend(_COST)
     left = float(thread.world.kinematics.manipulability(list(thread.world.q_target))) ** 2
@@ -157,7 +159,8 @@ def get_freedrive_status(thread: ScriptThread) -> int:
 
 # -- dynamics --------------------------------------------------------------------------------------------
 
-# Time step of the central difference of the Jacobian, in s. The errors of rounding and curvature are about equal.
+# Time step for the central difference of the Jacobian, in s. With this step, the errors because of rounding and because
+# of curvature are about equal.
 _MOMENT = 1e-5
 
 _Rows = tuple[tuple[float, ...], ...]
@@ -169,7 +172,7 @@ def _rows(matrix: Any) -> _Rows:
 
 @declare(since="5.23/10.11")
 def get_jacobian(thread: ScriptThread, q: Any = None, tcp: Any = "active_tcp") -> _Rows:
-    """Return the matrix from joint speeds to the velocity of the TCP in the base frame."""
+    """Return the Jacobian, which maps joint speeds to the velocity of the TCP in the base frame."""
     thread.machine.spend(_COST)
     at = joints_or(q, thread.world.q_actual, "get_jacobian: q")
     return _rows(thread.world.kinematics.jacobian(at, tcp_of(thread, tcp, "get_jacobian: tcp")))
@@ -191,7 +194,7 @@ def get_jacobian_time_derivative(thread: ScriptThread, q: Any = None, qd: Any = 
 
 @declare(since="5.23/10.11")
 def get_mass_matrix(thread: ScriptThread, q: Any = None, include_rotors_inertia: Any = False) -> _Rows:
-    """Return the matrix from joint accelerations to torques, in kg m²."""
+    """Return the mass matrix, which maps joint accelerations to joint torques, in kg m²."""
     thread.machine.spend(_COST)
     matrix = thread.world.dynamics.mass_matrix(joints_or(q, thread.world.q_actual, "get_mass_matrix: q"))
     if not boolean(include_rotors_inertia, "get_mass_matrix: include_rotors_inertia"):
@@ -201,7 +204,7 @@ def get_mass_matrix(thread: ScriptThread, q: Any = None, include_rotors_inertia:
 
 @declare(since="5.23/10.11")
 def get_coriolis_and_centrifugal_torques(thread: ScriptThread, q: Any = None, qd: Any = None) -> tuple[float, ...]:
-    """Return the torques at constant joint speeds, without gravity, in Nm."""
+    """Return the joint torques that constant joint speeds need, without gravity, in Nm."""
     thread.machine.spend(_COST)
     at = joints_or(q, thread.world.q_actual, "get_coriolis_and_centrifugal_torques: q")
     speeds = joints_or(qd, thread.world.qd_actual, "get_coriolis_and_centrifugal_torques: qd")
@@ -218,8 +221,8 @@ def direct_torque(
 ) -> Waiting:
     """Apply joint torques for one cycle, in addition to gravity compensation.
 
-    The two scales, which later firmware has, are the compensated fractions of friction. Here, the smaller of both is
-    used for each joint.
+    Later firmware has the two scales, which are the fractions of viscous and Coulomb friction that are compensated. The
+    simulator uses the smaller of the two scales for each joint.
     """
     thread.machine.spend(_COST)
     wanted = joints(torque, "direct_torque: torque")
@@ -236,15 +239,15 @@ def direct_torque(
 
 @declare(since="5.23/10.11")
 def set_friction_compensation(thread: ScriptThread, enable: Any) -> None:
-    """Check the argument; the function has no effect.
+    """Check the argument; this function has no effect.
 
-    An argument of `direct_torque` turns friction compensation on.
+    In the simulator, an argument of `direct_torque` enables the friction compensation.
     """
     boolean(enable, "set_friction_compensation: enable")
 
 
 @declare(since="5.25/10.12")
 def set_friction_scales(thread: ScriptThread, viscous_scale: Any, coulomb_scale: Any) -> None:
-    """Check the arguments; the function has no effect, like `set_friction_compensation`."""
+    """Check the arguments; this function has no effect. See `set_friction_compensation`."""
     six(viscous_scale, "set_friction_scales: viscous_scale")
     six(coulomb_scale, "set_friction_scales: coulomb_scale")

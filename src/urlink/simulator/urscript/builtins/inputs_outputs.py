@@ -1,7 +1,7 @@
-"""Functions of inputs, outputs and flags.
+"""Functions for inputs, outputs and flags.
 
-If the name of a function does not contain "standard", "configurable" or "tool", outputs 8 and 9 are the tool's, as in
-the manuals of CB2 and CB3. An analogue output is set as a fraction of its range: 4 to 20 mA or 0 to 10 V.
+In a function whose name does not contain "standard", "configurable" or "tool", numbers 8 and 9 select the tool, as in
+the manuals of CB2 and CB3. An analogue output is set as a fraction of its range, which is 4 to 20 mA or 0 to 10 V.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from ..errors import Fault
 from ..machine import ScriptThread
 from .declaration import boolean, declare, integer, number, number_within
 
-#: Infix of the names -> bits, numbered from 0, and first firmware with these functions.
+#: Part of the function names -> bits of the signals, and first firmware with these functions.
 _DIGITAL: dict[str, tuple[Sequence[int], str]] = {
     "": ((*range(8), 16, 17), "1.0"),
     "standard_": (range(8), "3.0"),
@@ -51,7 +51,7 @@ for _kind, (_bits, _since) in _DIGITAL.items():
 
 @declare()
 def get_analog_in(thread: ScriptThread, n: Any) -> float:
-    """Return an analogue input in A or V; 0 and 1 are in the control box, 2 and 3 in the tool."""
+    """Return an analogue input in A or V. Inputs 0 and 1 are in the control box, 2 and 3 are in the tool."""
     return thread.world.signals.analog_inputs[integer(n, "get_analog_in: n", 0, 3)]
 
 
@@ -98,7 +98,7 @@ def get_standard_analog_out(thread: ScriptThread, n: Any) -> float:
 
 @declare()
 def set_analog_outputdomain(thread: ScriptThread, port: Any, domain: Any) -> None:
-    """Set the domain: 0 current, 1 voltage. The fraction of the range is kept (assumed)."""
+    """Set the domain of an output: 0 current, 1 voltage. The output keeps its fraction of the range (assumed)."""
     at = integer(port, "set_analog_outputdomain: port", 0, 1)
     level = _get_analog(thread, at, "set_analog_outputdomain")
     thread.world.signals.analog_output_domains[at] = integer(domain, "set_analog_outputdomain: domain", 0, 1)
@@ -127,13 +127,13 @@ def set_tool_voltage(thread: ScriptThread, voltage: Any) -> None:
 
 @declare(since="5.2")
 def set_tool_output_mode(thread: ScriptThread, mode: Any) -> None:
-    """Set the mode: 0 digital outputs; 1 both pins supply power."""
+    """Set the mode of the tool outputs: 0 digital outputs; 1 both pins supply power."""
     thread.world.signals.tool_output_mode = integer(mode, "set_tool_output_mode: mode", 0, 1)
 
 
 @declare(since="5.2")
 def set_tool_digital_output_mode(thread: ScriptThread, n: Any, mode: Any) -> None:
-    """Set the mode: 1 sinking, 2 sourcing, 3 push-pull."""
+    """Set the mode of a digital tool output: 1 sinking, 2 sourcing, 3 push-pull."""
     at = integer(n, "set_tool_digital_output_mode: n", 0, 1)
     modes = thread.world.signals.tool_digital_output_modes
     modes[at] = integer(mode, "set_tool_digital_output_mode: mode", 1, 3)
@@ -151,7 +151,7 @@ def set_tool_communication(
 ) -> None:
     """Configure the serial line of the tool connector.
 
-    The interfaces report the settings, but nothing is connected.
+    The interfaces report these settings. They have no other effect.
     """
     what = "set_tool_communication"
     thread.world.signals.tool_communication = ToolCommunication(
@@ -164,15 +164,16 @@ def set_tool_communication(
     )
 
 
-# These functions set the actions of inputs, and how fast the arm changes between the limits of two safety modes.
-# Arguments are checked, but have no effect: no input has an action here, and there is only one set of limits.
+# The following functions set the actions of inputs, and the speed of a change between the limits of two safety modes.
+# Their arguments are checked, but have no effect: simulated inputs have no actions, and there is only one set of
+# limits.
 
 
 @declare()
 def set_analog_inputrange(thread: ScriptThread, port: Any, range: Any) -> None:
-    """Check the arguments; the function has no effect, because values here are in V.
+    """Check the arguments; this function has no effect, because tests set the inputs directly in A or V.
 
-    On older controllers, inputs 0 and 1 of the control box have four ranges.
+    On older controllers, inputs 0 and 1 (in the control box) have four ranges.
     """
     integer(port, "set_analog_inputrange: port", 0, 3)
     integer(range, "set_analog_inputrange: range", 0, 3)
@@ -185,7 +186,7 @@ def set_input_actions_to_default(thread: ScriptThread) -> None:
 
 @declare(since="3.0")
 def set_safety_mode_transition_hardness(thread: ScriptThread, type: Any) -> None:
-    """Check the argument: 0 hard, with the maximum acceleration; 1 soft."""
+    """Check the argument: 0 is a hard change with the maximum acceleration, 1 is a soft change."""
     integer(type, "set_safety_mode_transition_hardness: type", 0, 1)
 
 

@@ -1,4 +1,4 @@
-"""Functions that only compute: with numbers, lists and strings, and conversions."""
+"""Functions that only compute a value, from numbers, lists and strings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _NUMBER = re.compile(r"\s*[+-]?(?:[0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?\
 
 
 def made(thread: ScriptThread, text: str) -> str:
-    """Return a new string of at most `MAX_STRING` characters."""
+    """Return a new string, after checking that it has at most `MAX_STRING` characters."""
     if len(text) > MAX_STRING:
         raise Fault(f"String too long: {len(text)} characters")
     thread.machine.charge(len(text))
@@ -31,7 +31,7 @@ def length(thread: ScriptThread, v: Any) -> int:
     raise type_error(f"v has the type {type_name(v)}; expected a list or a string")
 
 
-# In this module, `to_str` is the function of `values`.
+# The Python function has another name, because `to_str` in this module is the function of `values`.
 @declare(name="to_str")
 def to_string(thread: ScriptThread, val: Any) -> str:
     return made(thread, to_str(val))
@@ -49,7 +49,7 @@ def to_num(thread: ScriptThread, str_to_convert: Any) -> float | int:
 
 @declare()
 def str_cat(thread: ScriptThread, op1: Any, op2: Any) -> str:
-    """Return two values, converted by `to_str`, as one string."""
+    """Convert two values with `to_str`, and return them as one string."""
     return made(thread, to_str(op1) + to_str(op2))
 
 
@@ -68,7 +68,7 @@ def str_at(thread: ScriptThread, src: Any, index: Any) -> str:
     text = string(src, "str_at: src")
     at = integer(index, "str_at: index")
     if not 0 <= at < len(text):
-        raise Fault(f"str_at: index out of range: {at} of {len(text)}")
+        raise Fault(f"str_at: index {at} is out of range; the string has {len(text)} characters")
     return text[at]
 
 
@@ -78,13 +78,13 @@ def str_sub(thread: ScriptThread, src: Any, index: Any, len: Any = 2**31 - 1) ->
     text = string(src, "str_sub: src")
     at, count = integer(index, "str_sub: index", 0), integer(len, "str_sub: len", 0)
     if at > text.__len__():
-        raise Fault(f"str_sub: index out of range: {at} of {text.__len__()}")
+        raise Fault(f"str_sub: index {at} is out of range; the string has {text.__len__()} characters")
     return made(thread, text[at : at + count])
 
 
 @declare()
 def str_find(thread: ScriptThread, src: Any, target: Any, start_from: Any = 0) -> int:
-    """Return the index of `target`, or -1."""
+    """Return the index of `target`; -1 if `src` does not contain it."""
     text, wanted = string(src, "str_find: src"), string(target, "str_find: target")
     thread.machine.charge(len(text) // 16 + len(wanted) // 16)
     return text.find(wanted, integer(start_from, "str_find: start_from", 0))
@@ -92,14 +92,14 @@ def str_find(thread: ScriptThread, src: Any, target: Any, start_from: Any = 0) -
 
 @declare()
 def integer_to_binary_list(thread: ScriptThread, x: Any) -> tuple[bool, ...]:
-    """Return 32 truth values, the lowest bit first."""
+    """Return the bits of an integer as 32 truth values, the lowest bit first."""
     value = integer(x, "integer_to_binary_list: x") & 0xFFFFFFFF
     return tuple([bool(value >> bit & 1) for bit in range(32)])
 
 
 @declare()
 def binary_list_to_integer(thread: ScriptThread, l: Any) -> int:  # noqa: E741
-    """Return the integer of up to 32 truth values, the lowest bit first; bit 31 is the sign."""
+    """Return the integer whose bits are up to 32 truth values, the lowest bit first. Bit 31 is the sign."""
     if not is_list(l) or len(l) > 32:
         raise type_error("binary_list_to_integer: l must be a list of up to 32 truth values")
     value = sum(boolean(bit, "binary_list_to_integer: l") << at for at, bit in enumerate(l))
@@ -108,7 +108,7 @@ def binary_list_to_integer(thread: ScriptThread, l: Any) -> int:  # noqa: E741
 
 @declare(since="3.15/5.10")
 def make_list(thread: ScriptThread, length: Any, initial_value: Any, capacity: Any = 0) -> tuple[Any, ...]:
-    """Return a list of `length` equal values. As a simplification, `capacity` has no effect."""
+    """Return a list with `length` times the same value. As a simplification, `capacity` has no effect."""
     count = integer(length, "make_list: length", 0, MAX_ELEMENTS)
     return list_of([initial_value] * count, thread.machine.charge)
 
@@ -123,7 +123,7 @@ def sqrt(thread: ScriptThread, f: Any) -> float:
 
 @declare()
 def pow(thread: ScriptThread, base: Any, exponent: Any) -> float:
-    """Return a power, always as a float (assumed)."""
+    """Return a power. The result is always a float (assumed)."""
     x, y = float(number(base, "pow: base")), float(number(exponent, "pow: exponent"))
     try:
         return checked(math.pow(x, y))
@@ -187,7 +187,7 @@ def atan(thread: ScriptThread, f: Any) -> float:
 
 @declare()
 def atan2(thread: ScriptThread, x: Any, y: Any) -> float:
-    """Return the angle with the sine x and the cosine y."""
+    """Return the angle whose sine and cosine are proportional to `x` and `y`."""
     return math.atan2(number(x, "atan2: x"), number(y, "atan2: y"))
 
 
@@ -213,14 +213,14 @@ def ceil(thread: ScriptThread, f: Any) -> float | int:
 
 @declare()
 def round(thread: ScriptThread, f: Any) -> float | int:
-    """Round halves away from zero, as in C. This behaviour and the function itself are assumed."""
+    """Round a number; halves are rounded away from zero, as in C. This function and its behaviour are assumed."""
     x = number(f, "round: f")
     return checked(math.floor(abs(x) + 0.5) * (-1 if x < 0 else 1))
 
 
 @declare()
 def random(thread: ScriptThread) -> float:
-    """Return a random number from 0 to 1; every run of a program gets the same numbers."""
+    """Return a random number from 0 to 1. Every run of a program gets the same sequence of numbers."""
     return thread.machine.random.random()
 
 

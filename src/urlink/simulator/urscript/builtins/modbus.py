@@ -1,8 +1,8 @@
 """Functions that add, read and set Modbus signals, and query their errors.
 
-No device is connected to the Modbus signals; see `robot.signals`. Their parameters are those of the manual (cited from
-memory). `is_secondary_program` has no effect here. Arguments out of range, and a signal that was not added, end the
-program (assumed).
+No device is connected to the Modbus signals; see `robot.signals`. The parameters of the functions are from the manual
+(cited from memory). In the simulator, `is_secondary_program` has no effect. An argument out of range, or a signal that
+was not added, ends the program (assumed).
 """
 
 from __future__ import annotations
@@ -52,10 +52,10 @@ def modbus_add_signals(
     sequential_mode: Any = False,
     register_count: Any = 1,
 ) -> None:
-    """Add a signal. With a count above 1, it is a list of that many bits or registers.
+    """Add a signal. If the count is above 1, its value is a list of bits or registers.
 
-    Such lists are in the vendor's examples for 5.14. The following is assumed: the parameter's name, its limits, which
-    are those of Modbus, and that a count of 1 is a single value.
+    The vendor's examples for 5.14 contain such lists. Three things are assumed: the name of the parameter, its limits
+    (the limits of Modbus), and that the value is not a list if the count is 1.
     """
     _add(thread, IP, slave_number, signal_address, signal_type, signal_name, sequential_mode, register_count)
 
@@ -96,10 +96,10 @@ def modbus_add_rw_signal(
     signal_name: Any,
     sequential_mode: Any = False,
 ) -> None:
-    """Add registers to read, and other registers to write, in one request with function code 23.
+    """Add a signal that reads some registers and writes other registers in one request (function code 23).
 
-    The values are lists of numbers. The function is in the manual (17.18). The parameters, the counts, and the release
-    that introduced it are assumed.
+    The values of the signal are lists of numbers. The manual contains the function (17.18). Its parameters, the limits
+    of the counts, and the release that introduced it are assumed.
     """
     what = "modbus_add_rw_signal"
     boolean(sequential_mode, f"{what}: sequential_mode")
@@ -118,15 +118,15 @@ def modbus_add_rw_signal(
 
 @declare(since="3.0")
 def modbus_delete_signal(thread: ScriptThread, signal_name: Any) -> bool:
-    """Delete a signal; return False if there is none."""
+    """Delete a signal; return False if there is no signal with this name."""
     return thread.world.modbus.delete(string(signal_name, "modbus_delete_signal: signal_name"))
 
 
 @declare(since="3.0")
 def modbus_get_signal_status(thread: ScriptThread, signal_name: Any, is_secondary_program: Any = False) -> Any:
-    """Return True or False for a digital signal, and a number for a register.
+    """Return the value of a signal: True or False for a digital signal, and a number for a register.
 
-    For several bits or registers, return a list.
+    If the signal has several bits or registers, return a list.
     """
     signal = _signal(thread, signal_name, "modbus_get_signal_status")
     if not signal.is_digital:
@@ -137,13 +137,13 @@ def modbus_get_signal_status(thread: ScriptThread, signal_name: Any, is_secondar
 def _set(
     thread: ScriptThread, name: Any, value: Any, what: str, argument: str, check: Callable[[Any, str], int]
 ) -> None:
-    """Set a digital output or a register output; if it was added as a list, set all its values.
+    """Set a digital output or a register output. If the signal has several values, set all of them.
 
-    The function `check` is `boolean` for a digital output.
+    `check` is the function that checks a value; it is `boolean` for a digital output.
     """
     signal = _signal(thread, name, what)
     if signal.is_input or signal.is_digital is not (check is boolean):
-        raise Fault(f"{what}: '{name}' is a {KINDS[signal.kind]}")
+        raise Fault(f"{what}: '{name}' is a {KINDS[signal.kind]}, which this function cannot set")
     if isinstance(signal.value, int):
         new: int | list[int] = int(check(value, f"{what}: {argument}"))
     elif is_list(value) and len(value) == len(signal.value):
@@ -161,7 +161,7 @@ def _register(value: Any, what: str) -> int:
 def modbus_set_output_signal(
     thread: ScriptThread, signal_name: Any, digital_value: Any, is_secondary_program: Any = False
 ) -> None:
-    """Set a digital output; for a signal that was added with a count, `digital_value` is a list."""
+    """Set a digital output. If the signal was added with a count, `digital_value` is a list."""
     _set(thread, signal_name, digital_value, "modbus_set_output_signal", "digital_value", boolean)
 
 
@@ -169,9 +169,9 @@ def modbus_set_output_signal(
 def modbus_set_output_register(
     thread: ScriptThread, signal_name: Any, register_value: Any, is_secondary_program: Any = False
 ) -> None:
-    """Set a register, or several registers with a list.
+    """Set a register output. If the signal has several registers, `register_value` is a list.
 
-    If `modbus_add_rw_signal` added the signal, the list contains all registers to write.
+    If `modbus_add_rw_signal` has added the signal, the list contains all registers to write.
     """
     what = "modbus_set_output_register"
     signal = _signal(thread, signal_name, what)
@@ -183,9 +183,9 @@ def modbus_set_output_register(
 
 @declare(since="3.0")
 def modbus_set_signal_update_frequency(thread: ScriptThread, signal_name: Any, update_frequency: Any) -> None:
-    """Store the frequency in the signal.
+    """Store the frequency in the signal; it has no other effect.
 
-    In an example of the vendor for 5.14, a frequency of -1 reads the signal once.
+    In one of the vendor's examples for 5.14, a frequency of -1 reads the signal once.
     """
     what = "modbus_set_signal_update_frequency"
     frequency = number_within(update_frequency, f"{what}: update_frequency", -1, 125)
@@ -194,9 +194,9 @@ def modbus_set_signal_update_frequency(thread: ScriptThread, signal_name: Any, u
 
 @declare(since="3.0")
 def modbus_set_signal_watchdog(thread: ScriptThread, signal_name: Any, is_watched: Any) -> None:
-    """Store whether the signal is watched; a failure does not stop a program here.
+    """Store whether the signal is watched. In the simulator, the failure of a signal never stops a program.
 
-    An example of the vendor for 5.14 passes seconds.
+    In one of the vendor's examples for 5.14, the argument is a time in seconds.
     """
     what = "modbus_set_signal_watchdog"
     signal = _signal(thread, signal_name, what)
@@ -208,9 +208,9 @@ def modbus_set_signal_watchdog(thread: ScriptThread, signal_name: Any, is_watche
 
 @declare(since="3.0")
 def modbus_set_runstate_dependent_choice(thread: ScriptThread, signal_name: Any, runstate_choice: Any) -> None:
-    """Store the choice in the signal.
+    """Store the choice in the signal; it has no other effect.
 
-    Outputs keep their values here, whether a program runs or not.
+    In the simulator, outputs always keep their values, even if no program runs.
     """
     what = "modbus_set_runstate_dependent_choice"
     _signal(thread, signal_name, what).choice = integer(runstate_choice, f"{what}: runstate_choice", 0, 4)
@@ -223,7 +223,7 @@ def modbus_get_error(thread: ScriptThread, signal_name: Any) -> int:
 
 @declare(since="3.0")
 def modbus_get_time_since_signal_invalid(thread: ScriptThread, signal_name: Any) -> float:
-    """Return the time in s since a signal became invalid; 0 for a valid signal."""
+    """Return the time in s since a signal became invalid; 0 if it is valid."""
     signal = _signal(thread, signal_name, "modbus_get_time_since_signal_invalid")
     return thread.world.modbus.seconds_invalid(signal)
 

@@ -1,7 +1,7 @@
-"""Functions that move the arm. Each takes time, and only one thread at a time may call one.
+"""Functions that move the arm. These functions take time, and only one thread at a time may move the arm.
 
-The defaults of a and v of `movej` and `movel` are known. The defaults of the other functions are assumed, and so is
-that `servoj` without a time takes one cycle.
+The defaults of `a` and `v` are known for `movej` and `movel`. For the other functions, the defaults are assumed. It is
+also assumed that `servoj` without a time takes one cycle.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def _not_negative(value: Any, what: str) -> float:
 
 
 def _joints(thread: ScriptThread, target: Any, what: str) -> list[float]:
-    """Return joint positions; for a pose, the positions closest to the current target."""
+    """Return joint positions. A pose is converted to the joint positions that are closest to the current target."""
     if is_list(target):
         return joints(target, what)
     found = solution(thread, pose(target, what))
@@ -41,7 +41,7 @@ def _joints(thread: ScriptThread, target: Any, what: str) -> list[float]:
 
 
 def _pose(thread: ScriptThread, target: Any, what: str) -> Sequence[float]:
-    """Return a pose; for joint positions, their pose."""
+    """Return a pose. Joint positions are converted to the pose of the TCP."""
     if is_list(target):
         arm = thread.world.kinematics
         return arm.forward(joints(target, what), list(thread.world.tcp)).tolist()  # type: ignore[no-any-return]
@@ -81,9 +81,9 @@ def movec(
 
 @declare(takes_time=True, in_secondary=False, since="5.22/10.8")
 def optimovej(thread: ScriptThread, q: Any, a: Any = 0.3, v: Any = 0.3, r: Any = 0) -> Waiting:
-    """Move like `movej`, with fractions of the lowest limits of the joints.
+    """Move like `movej`; `a` and `v` are fractions of the lowest limits of all joints.
 
-    There is no search for the fastest profile.
+    The simulator does not search for the fastest motion, as a real controller does.
     """
     model = thread.world.kinematics.model
     target = _joints(thread, q, "optimovej: q")
@@ -94,9 +94,10 @@ def optimovej(thread: ScriptThread, q: Any, a: Any = 0.3, v: Any = 0.3, r: Any =
 
 @declare(takes_time=True, in_secondary=False, since="5.22/10.8")
 def optimovel(thread: ScriptThread, pose: Any, a: Any = 0.3, v: Any = 0.3, r: Any = 0) -> Waiting:
-    """Move like `movel`, with fractions of 1 m/s and 2 m/s².
+    """Move like `movel`; `v` and `a` are fractions of 1 m/s and 2 m/s².
 
-    They are lowered to the joint limits on the path. The reference values of a controller are unknown.
+    Speed and acceleration are lowered so that no joint exceeds its limits on the path. The reference values of a real
+    controller are unknown.
     """
     target = _pose(thread, pose, "optimovel: pose")
     acceleration, speed = 2.0 * _fraction(a, "optimovel: a"), _fraction(v, "optimovel: v")
@@ -105,7 +106,7 @@ def optimovel(thread: ScriptThread, pose: Any, a: Any = 0.3, v: Any = 0.3, r: An
 
 
 def _fraction(value: Any, what: str) -> float:
-    """Return a fraction; its range and the default values are assumed."""
+    """Return a fraction above 0 and up to 1. This range and the default values are assumed."""
     part = _positive(value, what)
     if part > 1.0:
         raise Fault(f"{what} is {part:g}; expected at most 1")
@@ -113,9 +114,9 @@ def _fraction(value: Any, what: str) -> float:
 
 
 def _path(name: str, a: Any, v: Any, t: Any, r: Any) -> tuple[float, float, float, float]:
-    """Return the arguments of a path move.
+    """Return the acceleration, the speed, the time and the blend radius of a path move.
 
-    A time overrides acceleration and speed, which can then be zero (assumed).
+    If a time is given, acceleration and speed are ignored, and can be zero (assumed).
     """
     seconds, blend = _not_negative(t, f"{name}: t"), _not_negative(r, f"{name}: r")
     if seconds > 0:
@@ -125,7 +126,7 @@ def _path(name: str, a: Any, v: Any, t: Any, r: Any) -> tuple[float, float, floa
 
 @declare(takes_time=True, in_secondary=False, until="3.0")
 def servoj(thread: ScriptThread, q: Any, a: Any = 3, v: Any = 0.75, t: Any = 0) -> Waiting:
-    """Follow a set-point on CB2, without lookahead time and gain; the drive gets zeros for them."""
+    """Follow a set-point on CB2, which has no look-ahead time and no gain. Zeros are passed for them."""
     return _servoj(thread, q, a, v, t, 0.0, 0.0)
 
 
@@ -133,7 +134,7 @@ def servoj(thread: ScriptThread, q: Any, a: Any = 3, v: Any = 0.75, t: Any = 0) 
 def servoj_with_gain(
     thread: ScriptThread, q: Any, a: Any = 0, v: Any = 0, t: Any = 0, lookahead_time: Any = 0.1, gain: Any = 300
 ) -> Waiting:
-    """Follow a set-point.
+    """Follow a set-point of the joints.
 
     The ranges of the last two arguments are from the manuals (cited from memory).
     """
@@ -144,7 +145,7 @@ def servoj_with_gain(
 
 def _servoj(thread: ScriptThread, q: Any, a: Any, v: Any, t: Any, ahead: float, stiffness: float) -> Waiting:
     target = joints(q, "servoj: q")
-    # The controller does not use these two arguments either.
+    # These two arguments have no other effect. A real controller ignores them too.
     number(a, "servoj: a")
     number(v, "servoj: v")
     seconds = _not_negative(t, "servoj: t") or thread.world.period
@@ -159,14 +160,18 @@ def servoc(thread: ScriptThread, pose: Any, a: Any = 1.2, v: Any = 0.25, r: Any 
 
 
 def _change(a: Any, what: str) -> float:
-    """Return an acceleration, at least 1e-6: a driver passes zero if the speed does not change."""
+    """Return an acceleration of at least 1e-6.
+
+    Zero must be accepted, because a driver passes zero if the speed does not change.
+    """
     return max(_not_negative(a, what), 1e-6)
 
 
 def _seconds(t: Any, what: str) -> float | None:
-    """Return a time; None for no limit.
+    """Return the duration of a speed command in s; None if it is not limited.
 
-    Firmware before 3.3 requires it (1.x) or does not have it (3.1, 3.2). Here it is always optional.
+    Firmware before 3.3 requires this argument (1.x) or does not have it (3.1, 3.2). In the simulator, it is always
+    optional.
     """
     return None if t is None or (t.__class__ in NUMBERS and t == 0) else _not_negative(t, what)
 
@@ -200,7 +205,7 @@ def stopl(thread: ScriptThread, a: Any = 1.2, aRot: Any = "a") -> Waiting:
 
 
 def _turning(aRot: Any, a: float, what: str) -> float:
-    """Return rad/s²; the default is the same number as the acceleration in m/s²."""
+    """Return the angular acceleration in rad/s². Its default is the same number as the acceleration in m/s²."""
     if isinstance(aRot, str):
         if aRot != "a":
             raise type_error(f"{what} has the type {type_name(aRot)}; expected a number")
@@ -210,5 +215,5 @@ def _turning(aRot: Any, a: float, what: str) -> float:
 
 @declare()
 def is_steady(thread: ScriptThread) -> bool:
-    """Whether the arm is at rest. How long a real arm must have been at rest is not modelled."""
+    """Return whether the arm is at rest. A real arm must have been at rest for some time; this is not modelled."""
     return thread.world.motion.is_standing

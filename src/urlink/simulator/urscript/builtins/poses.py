@@ -1,7 +1,7 @@
-"""Functions of poses and of joint positions.
+"""Functions that compute with poses and joint positions.
 
-The following is assumed: `pose_add` and `pose_sub` add and subtract positions and multiply rotations, both in the base
-frame. `pose_dist` is the root of the sum of the squares of distance and angle.
+The following is assumed. `pose_add` adds positions and multiplies rotations, both in the base frame, and `pose_sub` is
+the inverse operation. `pose_dist` is the square root of the sum of two squares: of the distance and of the angle.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ..matrices import rows_of
 from ..values import PoseValue, list_of
 from .declaration import declare, is_list, joints, joints_or, number, pose, vector
 
-# Work of each operation, in elements of a list.
+# Work that is counted for each operation, in elements of a list.
 _TRANSFORMATION, _FORWARD, _INVERSE = 20, 40, 400
 
 _NOWHERE = (0.0, 0.0, 0.0)
@@ -41,7 +41,7 @@ def pose_inv(thread: ScriptThread, p_from: Any) -> PoseValue:
 def inv(thread: ScriptThread, m: Any) -> Any:
     """Return the inverse of a pose, like `pose_inv`.
 
-    In 3.14, 5.9 and later, it also inverts a square matrix.
+    In firmware 3.14, 5.9 and later, the function also inverts a square matrix.
     """
     if m.__class__ is PoseValue or not thread.machine.has_matrices:
         return _inverse(thread, pose(m, "inv: m"))
@@ -58,9 +58,10 @@ def inv(thread: ScriptThread, m: Any) -> Any:
 
 @declare(since="3.0")
 def wrench_trans(thread: ScriptThread, T_from_to: Any, w_from: Any) -> tuple[float, ...]:
-    """Return a wrench of the first frame, expressed in the second.
+    """Return a wrench that is given in the first frame, expressed in the second frame.
 
-    The torque is about the origin of the second frame. It is assumed that a wrench is six numbers, force before torque.
+    The torque of the result is about the origin of the second frame. It is assumed that a wrench is six numbers, first
+    the force and then the torque.
     """
     there = pose(T_from_to, "wrench_trans: T_from_to")
     wrench = vector(w_from, "wrench_trans: w_from", 6)
@@ -105,7 +106,7 @@ def interpolate_pose(thread: ScriptThread, p_from: Any, p_to: Any, alpha: Any) -
 
 @declare()
 def rotvec2rpy(thread: ScriptThread, rotation_vector: Any) -> tuple[float, ...]:
-    """Return roll, pitch and yaw, in rad, about the fixed x, y and z axes in that order."""
+    """Return roll, pitch and yaw in rad: rotations about the fixed axes x, y and z, in this order."""
     return tuple(poses.rotvec_to_rpy(vector(rotation_vector, "rotvec2rpy: vector", 3)).tolist())
 
 
@@ -145,7 +146,8 @@ def get_inverse_kin(
     return get_inverse_kin_tcp(thread, x, qnear)
 
 
-# According to one project's test matrix, 5.9.4 has it and 5.8.2 does not. CB3 has it since 3.14 (assumed).
+# According to the test matrix of a public project, 5.9.4 has this function and 5.8.2 does not. It is assumed that CB3
+# has it since 3.14.
 @declare(since="3.14/5.9")
 def get_inverse_kin_has_solution(
     thread: ScriptThread,
@@ -178,14 +180,16 @@ def is_within_safety_limits(thread: ScriptThread, pose: Any) -> bool:
 def solution(
     thread: ScriptThread, x: Sequence[float], qnear: Any = None, tcp: Any = "active_tcp"
 ) -> list[float] | None:
-    """Return the joint positions for a pose that are closest to `qnear`; None if out of reach.
+    """Return the joint positions for a pose; None if the pose is out of reach.
 
-    The default of `qnear` is the current target.
+    If there are several solutions, the solution closest to `qnear` is returned. The default of `qnear` is the current
+    target.
     """
     near = joints_or(qnear, thread.world.q_target, "qnear")
     thread.machine.spend(_INVERSE)
     try:
-        # A controller accepts any rotation vector; `Arm.inverse` accepts rotations up to one turn.
+        # Normalise the rotation vector: a controller accepts any rotation vector, but `Arm.inverse` only rotations of
+        # up to one turn.
         turned = rigid.to_pose(rigid.from_pose(list(x)))
         found: list[float] = thread.world.kinematics.inverse(
             turned, near, tcp_of(thread, tcp, "tcp"), is_limited=False
@@ -196,7 +200,7 @@ def solution(
 
 
 def tcp_of(thread: ScriptThread, tcp: Any, what: str) -> list[float]:
-    """Return the TCP in the flange frame: a pose, or the active TCP for a string."""
+    """Return a TCP in the flange frame: the given pose, or the active TCP if the argument is a string."""
     return list(thread.world.tcp) if isinstance(tcp, str) else pose(tcp, what)
 
 

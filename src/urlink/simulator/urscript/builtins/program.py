@@ -1,8 +1,8 @@
-"""Functions of the program itself (time, critical sections, messages), and unmodelled functions.
+"""Functions for time, critical sections, messages and program flow, and names of functions that are not modelled.
 
-A program with a function that is not modelled compiles, but calling the function is a run-time error. A function that
-becomes modelled moves to its family. The firmware that introduced each function is not checked, except that CB2
-certainly has none.
+A program that calls a function which is not modelled compiles, but the call is a run-time error. When a function is
+modelled later, it moves to the module of its family. For functions that are not modelled, the firmware is not checked,
+except that CB2 has none of them.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ def sync(thread: ScriptThread) -> Waiting:
 
 @declare(takes_time=True, in_secondary=False)
 def sleep(thread: ScriptThread, t: Any) -> Waiting:
-    """Wait `t` seconds, rounded up to whole cycles, at least one (assumed)."""
+    """Wait `t` seconds. The time is rounded up to whole cycles, and is at least one cycle (assumed)."""
     seconds = number(t, "sleep: t")
     if seconds < 0:
         raise Fault("sleep: t must not be negative")
-    # A millionth of a cycle is a rounding error.
+    # Subtract a millionth of a cycle, so that a rounding error does not add a cycle.
     cycles = seconds / thread.world.period - 1e-6
     waited = 0
     while True:
@@ -41,12 +41,12 @@ def sleep(thread: ScriptThread, t: Any) -> Waiting:
 
 @declare("exit_critical")
 def enter_critical(thread: ScriptThread) -> None:
-    """Do nothing; see `machine`."""
+    """Do nothing; the module `machine` explains why critical sections need no code."""
 
 
 @declare()
 def textmsg(thread: ScriptThread, s1: Any, s2: Any = "") -> None:
-    """Send both arguments, converted by `to_str`, as one text."""
+    """Convert both arguments with `to_str`, and send them as one text message."""
     thread.world.text_message(made(thread, to_str(s1) + to_str(s2)))
 
 
@@ -54,7 +54,7 @@ def textmsg(thread: ScriptThread, s1: Any, s2: Any = "") -> None:
 def popup(
     thread: ScriptThread, s: Any, title: Any = "Popup", warning: Any = False, error: Any = False, blocking: Any = False
 ) -> Waiting:
-    """Show a popup. If it is blocking, wait until it is closed."""
+    """Show a popup on the pendant. If the popup is blocking, wait until it is closed."""
     waits = boolean(blocking, "popup: blocking")
     thread.world.popup(
         made(thread, to_str(s)),
@@ -71,17 +71,17 @@ def popup(
 def protective_stop(thread: ScriptThread) -> None:
     """Make a protective stop.
 
-    Assumption: if the program has more statements that take time, it is paused until the stop is unlocked.
+    Assumption: if the program continues with statements that take time, it is paused until the stop is unlocked.
     """
     thread.world.protective_stop()
 
 
 @declare(takes_time=True, in_secondary=False, since="3.0")
 def jump_to_label(thread: ScriptThread, label: Any) -> Waiting:
-    """Continue at the node of the same function with this name, or number (assumed).
+    """Continue at the node of the same function that has this name, or this number (assumed).
 
-    A node is marked by a label such as `$ 3 "home"` before it in the text. The compiler emits an instruction instead,
-    so this function is never called.
+    In the text of the program, a label such as `$ 3 "home"` is before each node. The compiler emits an instruction for
+    this function, so the Python function is never called.
     """
     yield
 
@@ -91,26 +91,26 @@ def jump_to_label(thread: ScriptThread, label: Any) -> Waiting:
 
 @declare(takes_time=True, in_secondary=False, since="5.10")
 def interpreter_mode(thread: ScriptThread, clearQueueOnEnter: Any = True, clearOnEnd: Any = True) -> Waiting:
-    """Run statements from clients of port 30020.
+    """Run statements that clients send to port 30020.
 
-    The compiler emits instructions instead, so this function is never called.
+    The compiler emits instructions for this function, so the Python function is never called.
     """
     yield
 
 
 @declare(since="5.10")
 def end_interpreter(thread: ScriptThread) -> None:
-    """Leave interpreter mode after this statement."""
+    """End interpreter mode after this statement."""
     thread.machine.statements.leave()
 
 
 @declare(since="5.10")
 def clear_interpreter(thread: ScriptThread) -> None:
-    """Clear the statements that have begun, which makes room for others."""
+    """Clear the statements that have begun, so that the queue has room for other statements."""
     thread.machine.statements.clear()
 
 
-#: Reason -> functions that are not modelled.
+#: Reason, as a part of the error message -> functions that are not modelled for this reason.
 _UNMODELLED = {
     "EtherNet/IP is": ("eip_reader_factory", "eip_writer_factory"),
     "conveyors are": (
@@ -119,7 +119,7 @@ _UNMODELLED = {
         "stop_conveyor_tracking",
         "track_conveyor_linear",
     ),
-    # It occurs in public programs, but in no manual (cited from memory).
+    # Public programs call this function, but no manual (cited from memory) contains it.
     "its result is unknown, and it is": ("tool_pose",),
 }
 

@@ -1,4 +1,4 @@
-"""Functions that read the state of the arm, and functions of its payload."""
+"""Functions that read the state of the arm, and functions that set or read TCP, payload and gravity."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from ..values import PoseValue, list_of
 from ..world import ScriptWorld
 from .declaration import declare, integer, number, pose, string, vector
 
-# Work of recomputing the arm's state, for example with another tool, in elements of a list.
+# Work that is counted for computing the state of the arm again, for example with another tool, in elements of a list.
 _LOOK = 400
 
-#: Name -> type of the result (list or pose), function that reads it, and first firmware with the function.
+#: Name of a function -> type of its result (list or pose), Python function that reads the result, and first firmware
+#: with the function.
 _STATE: dict[str, tuple[type[tuple[float, ...]], Callable[[ScriptWorld], Sequence[float]], str]] = {
     "get_actual_joint_positions": (tuple, lambda world: world.q_actual, "1.0"),
-    # The name occurs in a driver's program; that it means the actual positions is assumed.
+    # The name is known from the program of a driver. It is assumed that the result is the actual positions.
     "get_joint_positions": (tuple, lambda world: world.q_actual, "1.0"),
     "get_actual_joint_speeds": (tuple, lambda world: world.qd_actual, "1.0"),
     "get_target_joint_positions": (tuple, lambda world: world.q_target, "1.0"),
     "get_target_joint_speeds": (tuple, lambda world: world.qd_target, "1.0"),
     "get_target_joint_accelerations": (tuple, lambda world: world.qdd_target, "5.23/10.11"),
     "get_joint_torques": (tuple, lambda world: world.torques, "1.0"),
-    # Torques of the target motion including gravity, in Nm. The name is assumed.
+    # The result is the torques of the target motion including gravity, in Nm. The name is assumed.
     "get_target_joint_torques": (tuple, lambda world: world.torques, "5.23/10.11"),
     "get_actual_tcp_pose": (PoseValue, lambda world: world.pose_actual, "1.0"),
     "get_target_tcp_pose": (PoseValue, lambda world: world.pose_target, "1.0"),
@@ -52,7 +53,7 @@ for _name, (_kind, _read, _since) in _STATE.items():
 def get_actual_joint_positions_history(thread: ScriptThread, steps: Any = 0) -> tuple[float, ...]:
     """Return the joint positions of `steps` cycles ago.
 
-    The history begins at the program's start, and has at most 500 cycles (assumed).
+    The history begins at the start of the program, and contains at most the last 500 cycles (assumed).
     """
     past = thread.machine.history
     return past[-1 - min(integer(steps, "get_actual_joint_positions_history: steps", 0), len(past) - 1)]
@@ -60,7 +61,7 @@ def get_actual_joint_positions_history(thread: ScriptThread, steps: Any = 0) -> 
 
 @declare(since="3.0")
 def get_target_waypoint(thread: ScriptThread) -> PoseValue:
-    """Return the end of the current path move, or else the target pose of the TCP (assumed)."""
+    """Return the pose at the end of the current path move; if there is none, the target pose of the TCP (assumed)."""
     waypoint = thread.world.motion.waypoint
     return PoseValue(map(float, thread.world.pose_target if waypoint is None else waypoint))
 
@@ -88,7 +89,10 @@ _pose = pose
 
 @declare()
 def set_payload(thread: ScriptThread, m: Any, cog: Any = None) -> None:
-    """Set the payload. Without a centre of mass, the controller uses the TCP (CB) or the flange."""
+    """Set the payload. If no centre of mass is given, the simulator keeps the current one.
+
+    A real controller then uses the TCP (CB) or the flange.
+    """
     thread.world.set_payload(_mass(m, "set_payload: m"), _cog(cog, "set_payload: cog"), None)
 
 
@@ -125,10 +129,10 @@ def get_steptime(thread: ScriptThread) -> float:
     return thread.world.period
 
 
-# The manuals have it since 5.25.1 and 10.14. The vendor's examples for 5.23 call it.
+# The manuals contain this function since 5.25.1 and 10.14, but the vendor's examples for 5.23 already call it.
 @declare(since="5.23/10.11")
 def get_rtde_value(thread: ScriptThread, name: Any) -> Any:
-    """Return an RTDE output of the previous cycle: a number, a truth value or a list.
+    """Return the value of an RTDE output in the previous cycle: a number, a truth value or a list.
 
     It is assumed that a pose is returned as a list.
     """

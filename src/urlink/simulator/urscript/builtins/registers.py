@@ -1,9 +1,9 @@
-"""General-purpose registers and their watchdog.
+"""Functions for the general-purpose registers, and for the watchdogs of RTDE inputs.
 
-Registers are values that programs share with fieldbuses and RTDE clients. The registers of each firmware are known
-(docs/protocols/rtde.md, Releases). The action of the watchdog is "ignore", "pause" or "stop", in upper or lower case,
-and "pause" by default. The following is assumed: a register that the firmware lacks, and a variable that is not an RTDE
-input, are run-time errors, and a frequency of zero ends the watchdog.
+Registers are values that programs share with fieldbuses and RTDE clients. It is known which registers each firmware has
+(docs/protocols/rtde.md, Releases). The action of a watchdog is "ignore", "pause" or "stop", in upper or lower case; the
+default is "pause". Three things are assumed. The use of a register that the firmware lacks is a run-time error. A
+watchdog for a variable that is not an RTDE input is a run-time error too. A frequency of zero removes the watchdog.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _ACTIONS: dict[str, Action] = {"ignore": "ignore", "pause": "pause", "stop": "st
 
 
 def _address(thread: ScriptThread, address: Any, kind: _Kind, what: str) -> int:
-    """Return the number of a register, after checking it for the firmware."""
+    """Return the number of a register, after checking that the firmware has this register."""
     count = BITS if kind == "boolean" else NUMBERS
     if thread.world.firmware not in _HAS_UPPER_RANGE:
         count //= 2
@@ -39,7 +39,7 @@ def _reader(name: str, kind: _Kind, *, is_input: bool) -> Callable[..., bool | i
         at = _address(thread, address, kind, name)
         if kind == "boolean":
             return bool(bank.bits >> at & 1)
-        # Tests also write numpy numbers, which the machine does not accept as numbers.
+        # Convert the value, because tests also write numpy numbers, which the machine does not accept as numbers.
         return int(bank.integers[at]) if kind == "integer" else float(bank.floats[at])
 
     return read
@@ -59,7 +59,8 @@ def _writer(name: str, kind: _Kind) -> Callable[..., None]:
     return write
 
 
-# RTDE has them since 3.4. Whether programs have them since 3.0 is unknown, so they are allowed.
+# RTDE has had the registers since 3.4. It is unknown whether programs can use them in older firmware, so the functions
+# are allowed since 3.0.
 for _kind in get_args(_Kind):
     for _direction in ("input", "output"):
         _name = f"read_{_direction}_{_kind}_register"
@@ -70,7 +71,7 @@ for _kind in get_args(_Kind):
 
 @declare(since="3.0")
 def rtde_set_watchdog(thread: ScriptThread, variable_name: Any, min_frequency: Any, action: Any = "pause") -> None:
-    """Require the variable `min_frequency` times per second, and otherwise take the action."""
+    """Set a watchdog: if the variable does not arrive `min_frequency` times per second, the action is executed."""
     variable = string(variable_name, "rtde_set_watchdog: variable_name")
     frequency = float(number(min_frequency, "rtde_set_watchdog: min_frequency"))
     wanted = _ACTIONS.get(string(action, "rtde_set_watchdog: action").lower())

@@ -1,12 +1,12 @@
-"""Remote procedure calls (XML-RPC) of programs.
+"""Functions for remote procedure calls (XML-RPC) from programs.
 
 A program calls `h = rpc_factory("xmlrpc", "http://127.0.0.1:40404/RPC2")`, and then `h.method(arguments)`. A call is an
-HTTP request over one of the program's connections. So it can reach the same computers as the program's sockets: this
-computer, and the computers that are connected to the controller. A pose is a struct of x, y, z, rx, ry and rz,
-according to the manual.
+HTTP request over a connection of the program. So the server can be on any computer to which the sockets of the program
+can connect: this computer, or the computer of a client that is connected to the controller. According to the manual, a
+pose is sent as a struct of x, y, z, rx, ry and rz.
 
-The following is assumed: each call opens a connection, and it fails after `TIMEOUT`. A failing method, or a missing
-method or server, ends the program. Structs with other members become structs of URScript.
+The following is assumed. Each call opens a new connection, and fails after `TIMEOUT`. If the method fails, or if there
+is no such method or server, the program ends. Received structs with other members become structs of URScript.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _POSE = ("x", "y", "z", "rx", "ry", "rz")
 
 @declare(since="3.0")
 def rpc_factory(thread: ScriptThread, type: Any, url: Any) -> RpcHandle:
-    """Return a handle with the methods of a server; the first call opens a connection."""
+    """Return a handle for the methods of a server. No connection is opened before the first call of a method."""
     if string(type, "rpc_factory: type") != "xmlrpc":
         raise Fault(f"rpc_factory: type is '{type}'; expected 'xmlrpc'")
     address = string(url, "rpc_factory: url")
@@ -46,13 +46,13 @@ def rpc_factory(thread: ScriptThread, type: Any, url: Any) -> RpcHandle:
 
 
 def call_method(thread: ScriptThread, base: Any, name: str, arguments: Sequence[Any]) -> Waiting:
-    """Call `base.name(arguments)`."""
+    """Execute the remote call `base.name(arguments)`, and return its result."""
     if not isinstance(base, RpcHandle):
         raise type_error(f"{type_name(base)} has no method '{name}'")
     if name == "closeXMLRPCClientConnection":
         return None
     name = base.prefix + name
-    # Import here, where it is used, because it loads a large part of the standard library.
+    # Import this module only when it is used, because it loads a large part of the standard library.
     from xmlrpc.client import dumps
 
     body = dumps(tuple(map(_sent, arguments)), methodname=name).encode()
@@ -65,7 +65,8 @@ def _exchange(thread: ScriptThread, handle: RpcHandle, name: str, body: bytes) -
     """Send a request, and return the body of the response."""
     what, sockets = f"{name}: {handle.url}", thread.world.sockets
     thread.machine.remote_calls += 1
-    # No string of a program can have this name, because it cannot contain both kinds of quotes.
+    # Choose a name that no program can use for its own sockets: a string in a program cannot contain both kinds of
+    # quotes.
     socket, left = f"rpc '{thread.machine.remote_calls}\"", TIMEOUT / thread.world.period
     sockets.open(socket, handle.host, handle.port)
     try:
@@ -78,7 +79,7 @@ def _exchange(thread: ScriptThread, handle: RpcHandle, name: str, body: bytes) -
         except BadValue as error:
             raise Fault(f"{what}: {error}") from None
         if not is_sent:
-            raise Fault(f"{what} cannot be connected to")
+            raise Fault(f"{what}: cannot connect to the server")
         parser = HttpParser("response")
         while True:
             buffer = sockets.received(socket)
@@ -89,14 +90,14 @@ def _exchange(thread: ScriptThread, handle: RpcHandle, name: str, body: bytes) -
                 if response is None and not data and sockets.state(socket) != "open":
                     response = parser.end()
             except PacketError as error:
-                raise Fault(f"{what} does not answer as a server of XML-RPC: {error}") from None
+                raise Fault(f"{what}: the reply of the server is not valid XML-RPC: {error}") from None
             if response is not None:
                 assert isinstance(response, HttpResponse)
                 if response.status != 200:
-                    raise Fault(f"{what} answers {response.status} {response.reason}")
+                    raise Fault(f"{what}: the server replied with HTTP status {response.status} {response.reason}")
                 return response.body
             if left <= 0:
-                raise Fault(f"{what} has not answered within {TIMEOUT:g} s")
+                raise Fault(f"{what}: the server did not reply within {TIMEOUT:g} s")
             left -= 1
             yield
     finally:
@@ -104,7 +105,7 @@ def _exchange(thread: ScriptThread, handle: RpcHandle, name: str, body: bytes) -
 
 
 def _sent(value: Any) -> Any:
-    """Return the value as an argument of `dumps`."""
+    """Return a value of URScript as a value that `dumps` accepts."""
     if isinstance(value, PoseValue):
         return dict(zip(_POSE, map(float, value), strict=True))
     if value.__class__ is tuple:
@@ -117,16 +118,16 @@ def _sent(value: Any) -> Any:
 
 
 def parse_answer(body: bytes, what: str, charge: Charge) -> Any:
-    """Return the value in an answer.
+    """Return the value in the response to a call.
 
     Args:
         body: Body of the HTTP response.
         what: Method and server, used in the error message.
-        charge: Function that counts the work and the memory of the program.
+        charge: Function that counts new elements as work and memory of the program.
 
     Raises:
-        Fault: If it is not an answer, reports that the method has failed, or contains a value that URScript does not
-            have.
+        Fault: If the body is not a valid response, if it reports that the method has failed, or if it contains a value
+            that URScript does not support.
     """
     from xmlrpc.client import Fault as RemoteFault
     from xmlrpc.client import loads
@@ -135,9 +136,9 @@ def parse_answer(body: bytes, what: str, charge: Charge) -> Any:
     try:
         (result,), _ = loads(body)
     except RemoteFault as fault:
-        raise Fault(f"{what} answers with fault {fault.faultCode}: {fault.faultString}") from None
-    except Exception:  # the standard library raises various exceptions, depending on the place of the error
-        raise Fault(f"{what} does not answer as a server of XML-RPC") from None
+        raise Fault(f"{what}: the server replied with fault {fault.faultCode}: {fault.faultString}") from None
+    except Exception:  # the standard library raises various exceptions for invalid responses
+        raise Fault(f"{what}: the reply of the server is not valid XML-RPC") from None
     return _value(result, what, charge, 0)
 
 
@@ -162,7 +163,7 @@ def _value(result: Any, what: str, charge: Charge, depth: int) -> Any:
 
 
 def _number(result: float | int) -> float | int:
-    """Return a number; an integer that exceeds 32 bits becomes a float."""
+    """Return a number. An integer that exceeds 32 bits is converted to a float."""
     if isinstance(result, float) or -(2**31) <= result < 2**31:
         return checked(result)
     return checked(float(result) if abs(result) < 1e300 else math.inf)

@@ -1,19 +1,19 @@
-"""Functions of the program's sockets. The default name of a socket is "socket_0".
+"""Functions for the sockets of a program. The default name of a socket is "socket_0".
 
-Drivers rely on two facts. Integers are big endian, and the first element of a list that was read is the count of
-values. The manuals (cited from memory) contain the following: at most 30 values are read at once. On a timeout, the
-count is 0 and the values are -1, or NaN for floats. A timeout of zero or less waits forever. Names and defaults of
-parameters are also from the manuals.
+Drivers rely on two facts: integers are big endian, and the first element of a list that a function returns is the
+number of received values. The following is from the manuals (cited from memory). At most 30 values are read at once.
+After a timeout, the number is 0 and the values are -1, or NaN for floats. With a timeout of zero or less, a function
+waits forever. The names and defaults of the parameters are also from the manuals.
 
 The following is assumed:
 
-- Connecting times out after 2 s.
-- A program reads at most 20 times in a cycle.
-- On a timeout, the received bytes are kept for the next read.
-- Reading from a socket that is not open returns nothing after one cycle.
-- ASCII numbers have the form `(1.0,2.0,3.0)`. The text up to the closing bracket is consumed even if it cannot be
+- An attempt to connect times out after 2 s.
+- A program reads at most 20 times in one cycle.
+- After a timeout, received bytes are kept for the next read.
+- A read from a socket that is not open takes one cycle and returns nothing.
+- ASCII numbers have the form `(1.0,2.0,3.0)`. The text up to the closing parenthesis is consumed even if it cannot be
   parsed.
-- Text is bytes, one character each.
+- Each received byte is one character of a text.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from .mathematics import made
 _NAME = "socket_0"
 _CONNECTING = 2.0
 _MOST = 30
-# Maximum number of reads of all threads in a cycle; further reads wait for the next cycle. Otherwise no time would pass
-# in a loop that reads from a peer which sends without end.
+# Maximum number of reads by all threads in a cycle; further reads wait for the next cycle. Without this limit, no time
+# would pass in a loop that reads from a peer which sends continuously.
 _READS = 20
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,5})?")
 
@@ -44,7 +44,7 @@ _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,
 
 @declare(takes_time=True)
 def socket_open(thread: ScriptThread, address: Any, port: Any, socket_name: Any = _NAME) -> Waiting:
-    """Connect, and return whether it succeeded."""
+    """Connect to a server, and return whether the connection is open."""
     name, sockets = string(socket_name, "socket_open: socket_name"), thread.world.sockets
     host, number_ = string(address, "socket_open: address"), integer(port, "socket_open: port", 0, 65535)
     sockets.close(name)
@@ -100,7 +100,8 @@ def socket_send_int(thread: ScriptThread, value: Any, socket_name: Any = _NAME) 
 def socket_set_var(thread: ScriptThread, name: Any, value: Any, socket_name: Any = _NAME) -> bool:
     """Send `SET name value`.
 
-    The manual mentions integers. Public programs pass other numbers, which are sent as their `to_str` text (assumed).
+    According to the manual, the value is an integer. Public programs also pass other numbers, which are sent as text
+    from `to_str` (assumed).
     """
     what, new = string(name, "socket_set_var: name"), number(value, "socket_set_var: value")
     return _send(thread, socket_name, _bytes(f"SET {what} {to_str(new)}\n"))
@@ -110,7 +111,7 @@ def socket_set_var(thread: ScriptThread, name: Any, value: Any, socket_name: Any
 
 
 def _await(thread: ScriptThread, socket_name: Any, timeout: Any, is_there: Callable[[bytearray], bool]) -> Waiting:
-    """Return the receive buffer when `is_there` is true for it.
+    """Wait until `is_there` is true for the receive buffer, and return the buffer.
 
     Returns None on a timeout, or if the socket is not open.
     """
@@ -134,7 +135,7 @@ def _await(thread: ScriptThread, socket_name: Any, timeout: Any, is_there: Calla
 
 
 def _read_line(thread: ScriptThread, socket_name: Any, timeout: Any) -> Waiting:
-    """Return a line without its line feed, which is consumed.
+    """Wait for a line, consume it and its line feed, and return it without the line feed.
 
     Returns None on a timeout, or if the socket is not open.
     """
@@ -147,9 +148,9 @@ def _read_line(thread: ScriptThread, socket_name: Any, timeout: Any) -> Waiting:
 
 
 def _read_numbers(thread: ScriptThread, count: int, code: str, socket_name: Any, timeout: Any) -> Waiting:
-    """Return a list of `count` and the numbers, with the format `code` of `struct`.
+    """Wait for `count` numbers, and return a list of the number of values and the values.
 
-    On a timeout, the list contains 0 and `count` times -1.
+    `code` is the format of one number for `struct`. On a timeout, the list contains 0 and then `count` times -1.
     """
     layout = struct.Struct(f">{count}{code}")
     buffer = yield from _await(thread, socket_name, timeout, lambda data: len(data) >= layout.size)
@@ -188,15 +189,15 @@ def socket_read_ascii_float(thread: ScriptThread, number: Any, socket_name: Any 
             if not _NUMBER.fullmatch(part.strip()):
                 break
             found.append(float(part))
-    # Values that cannot be parsed are NaN.
+    # Missing values, and values that cannot be parsed, are NaN.
     return (len(found), *found, *[math.nan] * (count - len(found)))
 
 
 @declare(takes_time=True)
 def socket_read_line(thread: ScriptThread, socket_name: Any = _NAME, timeout: Any = 2) -> Waiting:
-    """Return a line; empty on a timeout.
+    """Wait for a line, and return it; on a timeout, return an empty string.
 
-    The line feed, and a carriage return before it, are consumed but not returned.
+    The line feed, and a carriage return before it, are removed from the line.
     """
     line = yield from _read_line(thread, socket_name, timeout)
     return "" if line is None else made(thread, line.removesuffix(b"\r").decode("latin-1"))
@@ -211,7 +212,7 @@ def socket_read_string(
     interpret_escape: Any = False,
     timeout: Any = 2,
 ) -> Waiting:
-    """Return all received text, or the text between prefix and suffix if they are given."""
+    """Wait for text, and return it. If prefix or suffix is given, return the text between them."""
     begin, end = string(prefix, "prefix"), string(suffix, "suffix")
     if boolean(interpret_escape, "interpret_escape"):
         begin, end = _unescaped(begin), _unescaped(end)
@@ -237,9 +238,9 @@ def _unescaped(text: str) -> str:
 
 @declare(takes_time=True)
 def socket_get_var(thread: ScriptThread, name: Any, socket_name: Any = _NAME, timeout: Any = 2) -> Waiting:
-    """Send `GET name`, and return the integer of the reply `name value`.
+    """Send `GET name`, and return the integer in the reply, which has the form `name value`.
 
-    Without a reply, return 0 (assumed).
+    If there is no reply, return 0 (assumed).
     """
     what = string(name, "socket_get_var: name")
     if not _send(thread, socket_name, _bytes(f"GET {what}\n")):
@@ -249,5 +250,5 @@ def socket_get_var(thread: ScriptThread, name: Any, socket_name: Any = _NAME, ti
         return 0
     key, _, value = line.decode("latin-1").strip().rpartition(" ")
     if key != what or not re.fullmatch(r"[+-]?[0-9]{1,10}", value):
-        raise Fault(f"socket_get_var: '{what} <integer>' was expected as a reply")
+        raise Fault(f"socket_get_var: expected the reply '{what} <integer>'")
     return integer(int(value), "socket_get_var: value")
