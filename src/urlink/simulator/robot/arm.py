@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from urlink.arm.arm_file import ArmFile
 
 _ZERO = [0.0] * 6
+# Joints that move, if all of them do.
+_ALL = (True,) * 6
 
 
 class SimulatedArm:
@@ -131,7 +133,7 @@ class SimulatedArm:
         qd = self._setpoint.qd
         if any(qd):
             progress.moved += 1
-            moving = tuple(map(bool, qd))
+            moving = tuple(map(bool, qd)) if 0.0 in qd else _ALL
             if moving != self._moving:
                 self._count_rests(moving)
         elif self._moving:
@@ -241,9 +243,18 @@ class SimulatedArm:
     def wrench(self) -> Sequence[float]:
         """Wrench at the TCP that the controller uses, shape (6,), in N and Nm.
 
-        It equals the force of `sample`, but without noise and without the offset of the sensor.
+        It equals the force of `sample`, but without noise.
         """
         return self.external_force if self.uses_external_force else self._measured
+
+    @property
+    def pushing_wrench(self) -> Sequence[float]:
+        """Wrench at the TCP to which the arm yields in freedrive, shape (6,), in N and Nm.
+
+        It equals `wrench`, but without the errors of the force sensor. In freedrive, a real arm yields to the torques on
+        its joints, so an offset of the sensor does not move it.
+        """
+        return self.external_force if self.uses_external_force else self.force_sensor.wrench
 
     @property
     def _measured(self) -> Sequence[float]:

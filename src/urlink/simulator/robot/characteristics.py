@@ -67,9 +67,8 @@ WARMED_BEFORE = number("warmed_before")
 #: are independent of their previous values; and the same for the drift of the force, in s of any kind.
 CURRENT_TIME, WANDER_TIME, TRACKING_TIME = number("current_time"), number("force_wander_time"), number("tracking_time")
 DRIFT_TIME = number("force_drift_time")
-#: Decay time of the oscillation after a stop in s, its frequency in Hz, and decay time of the force's noise in s.
-SETTLING_TIME, SETTLING_FREQUENCY = number("settling_time"), number("settling_frequency")
-FORCE_SETTLING_TIME = number("force_settling_time")
+#: Times, in s, after which the creeping of a joint and the noise of the force have fallen to 37 % after a stop.
+SETTLING_TIME, FORCE_SETTLING_TIME = number("settling_time"), number("force_settling_time")
 #: Time that an e-Series controller needs to execute a cycle, without a running program and with one, in ms.
 EXECUTION_TIME = number("execution_time"), number("execution_time_of_a_program")
 #: Supply voltage of each joint without current in V, voltage drop per current in V/A, and resolution of the measurement
@@ -107,7 +106,8 @@ class SensorParameters:
         position_offset: Position error of a joint at rest, as a standard deviation, in rad. The error stays constant
             during a rest, and differs from rest to rest.
         tracking_error: Position error of a moving joint in addition to the lag, shape (6,), in rad.
-        settling: Amplitude of the oscillation of a joint after a stop, in rad.
+        settling: Distance of a joint from its position of rest at the moment of a stop, as a standard deviation, in
+            rad.
         speed_noise: Noise of the speed of a moving joint, shape (6,), in rad/s.
         current_noise: Error of the current of a moving joint, shape (6,), in A.
         current_correlation: Fraction of the variance of this error that changes slowly, shape (6,), 0 to 1.
@@ -120,9 +120,10 @@ class SensorParameters:
         motion_noise: Additional noise of force and torque while the arm moves, shape (6,), in N and Nm.
         force_offset: Wrench that a sensor shows that was never zeroed, in the frame of the flange, shape (6,), in N and
             Nm.
-        force_wander: Error of the wrench that changes while the arm moves, in the frame of the flange, shape (6,), in N
-            and Nm.
-        force_drift: Error of the wrench that changes with time, in the frame of the flange, shape (6,), in N and Nm.
+        force_wander: Error of the wrench that changes while the arm moves, as a standard deviation in the frame of the
+            flange, shape (6,), in N and Nm.
+        force_drift: Error of the wrench that changes with time, as a standard deviation in the frame of the flange,
+            shape (6,), in N and Nm.
         accelerometer_noise: Noise of the accelerometer, in m/s².
         accelerometer_bias: Offset of the accelerometer in the tool frame, shape (3,), in m/s².
 

@@ -2,9 +2,8 @@
 
 No value depends on when, or how often, the others are read. So a sensor that no client reads costs nothing.
 
-A table of normal numbers is drawn once for each seed, and is read at the index. Its length is prime, so that the
-channels do not repeat together. `wandering` connects numbers of the table, which are some steps apart. The result has
-the same standard deviation everywhere, and neighbouring steps correlate.
+Tables of normal numbers, and of signs with a size close to 1, are drawn once for each seed, and are read at the index.
+Their length is prime, so that the channels do not repeat together.
 """
 
 from __future__ import annotations
@@ -18,6 +17,8 @@ import numpy as np
 _LENGTH = 8191
 #: Distance in the table between two channels.
 _CHANNEL = 1171
+#: Fraction of a step of `switching` after which the numbers begin to change.
+_HELD = 0.75
 
 
 class Noise:
@@ -29,7 +30,7 @@ class Noise:
     """
 
     def __init__(self, seed: int | None, scale: float = 1.0) -> None:
-        self._table = (0.0,) * (_LENGTH + 6) if seed is None else _drawn(seed, scale)
+        self._table, self._signed = ((0.0,) * (_LENGTH + 6),) * 2 if seed is None else _drawn(seed, scale)
 
     def white(self, index: int, channel: int) -> Sequence[float]:
         """Return six normal numbers, independent of those of other indices.
@@ -42,7 +43,7 @@ class Noise:
         return self._table[begin : begin + 6]
 
     def wandering(self, steps: int, length: int, channel: int) -> Sequence[float]:
-        """Return six normal numbers that change gradually.
+        """Return six normal numbers that change gradually, with the same standard deviation at every step.
 
         Args:
             steps: Number of steps, such as cycles.
@@ -54,12 +55,31 @@ class Noise:
         a = 1.0 - b
         scale = 1.0 / math.sqrt(a * a + b * b)
         a, b = a * scale, b * scale
+        begin = (knot * 6 + channel * _CHANNEL) % _LENGTH
+        then = (begin + 6) % _LENGTH
         table = self._table
-        begin, then = ((at * 6 + channel * _CHANNEL) % _LENGTH for at in (knot, knot + 1))
         return [a * x + b * y for x, y in zip(table[begin : begin + 6], table[then : then + 6], strict=True)]
 
+    def switching(self, steps: int, length: int, channel: int) -> Sequence[float]:
+        """Return six numbers of both signs, which stay the same for three quarters of `length` steps and then change.
+
+        A few of them already have the standard deviation of all, because they are never close to 0.
+
+        Args:
+            steps: Number of steps, such as cycles.
+            length: Number of steps between two independent numbers.
+            channel: Number of the quantity.
+        """
+        knot, past = divmod(steps, length)
+        begin = (knot * 6 + channel * _CHANNEL) % _LENGTH
+        now, changed = self._signed[begin : begin + 6], past / length - _HELD
+        if changed <= 0.0:
+            return now
+        b, then = changed / (1.0 - _HELD), (begin + 6) % _LENGTH
+        return [x + b * (y - x) for x, y in zip(now, self._signed[then : then + 6], strict=True)]
+
     def held(self, rests: Sequence[int], channel: int) -> Sequence[float]:
-        """Return six numbers of both signs, one for each joint; `scale` has to be 1.
+        """Return six numbers of both signs, one for each joint.
 
         They are never close to 0, like the error of a friction whose direction is not known.
 
@@ -67,12 +87,14 @@ class Noise:
             rests: Number of the rest of each joint, shape (6,).
             channel: Number of the quantity.
         """
-        numbers = [self._table[(rest * 6 + channel * _CHANNEL) % _LENGTH + joint] for joint, rest in enumerate(rests)]
-        # The mean square of 0.79 + 0.25 |n| is 1.
-        return [math.copysign(0.79 + 0.25 * abs(n), n) for n in numbers]
+        return [self._signed[(rest * 6 + channel * _CHANNEL) % _LENGTH + joint] for joint, rest in enumerate(rests)]
 
 
 @lru_cache(maxsize=64)
-def _drawn(seed: int, scale: float) -> tuple[float, ...]:
-    numbers: list[float] = (scale * np.random.default_rng(seed).standard_normal(_LENGTH)).tolist()
-    return (*numbers, *numbers[:6])
+def _drawn(seed: int, scale: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    numbers = np.random.default_rng(seed).standard_normal(_LENGTH)
+    # The mean square of 0.79 + 0.25 |n| is 1.
+    signed = np.copysign(0.79 + 0.25 * np.abs(numbers), numbers)
+    both = ((scale * each).tolist() for each in (numbers, signed))
+    first, second = ((*each, *each[:6]) for each in both)
+    return first, second

@@ -10,7 +10,7 @@
   joint has a slow and a fast part.
 - **Control currents** of a CB arm are the actual currents without their noise. Those of an e-Series are the targets.
 - **Positions at rest** have an error of some encoder steps, which also differs from rest to rest. After a stop, each
-  joint oscillates for some tenths of a second.
+  joint creeps to this position for some tenths of a second.
 - **The force** at the TCP is computed by `surroundings`. The sensor adds an offset, an error that changes while the arm
   moves, a drift, and noise. Offset, error and drift are fixed in the frame of the flange.
 - **Temperatures** are those of an arm that has been on. They rise slowly, and further in joints with a higher load.
@@ -40,7 +40,6 @@ from .characteristics import (
     DRIFT_TIME,
     FORCE_SETTLING_TIME,
     JOINT_VOLTAGE,
-    SETTLING_FREQUENCY,
     SETTLING_TIME,
     STEPS,
     TEMPERATURE_RISE,
@@ -57,9 +56,9 @@ _ZERO = [0.0] * 6
 # Channels of the noise.
 _POSITION, _SPEED, _ACCELEROMETER, _CURRENT, _VOLTAGE, _FORCE, _OFFSET, _STICTION = range(8)
 _TRACKING, _SETTLING, _SLOW_CURRENT, _WANDER, _DRIFT = range(8, 13)
-# Numbers of cycles of motion, and of any cycles, after which the slow errors of the force are computed again.
-_WANDER_STEP, _DRIFT_STEP = 8, 64
-# Number of settling times after which the oscillation that follows a stop has ended.
+# Numbers of cycles of motion, and of any cycles, after which the slow errors are computed again.
+_SLOW_STEP, _DRIFT_STEP = 8, 64
+# Number of settling times after which the creeping that follows a stop has ended.
 _SETTLED = 6.0
 # Additional temperature rise in K for a holding current of 1 A. The rise is proportional to the square root of this
 # current.
@@ -168,8 +167,9 @@ class Sensors:
         self._rest_current = [parameters.current_noise_at_rest] * 6
         self._held: tuple[int, list[float]] | None = None
         self._turn: Rigid[float] = IDENTITY
-        # Last error of the force sensor: the steps that it belongs to, and its value.
+        # Latest slow errors: the steps that they belong to, and their values.
         self._error: tuple[tuple[int, int], list[float]] | None = None
+        self._slow: tuple[int, list[float]] | None = None
         self._coulomb_error = [s * c for s, c in zip(parameters.stiction, motors.coulomb, strict=True)]
         shares = parameters.current_correlation
         self._slow_current = [n * math.sqrt(s) for n, s in zip(parameters.current_noise, shares, strict=True)]
@@ -212,42 +212,39 @@ class Sensors:
                 for p, v, e, t, n, s in zip(q, qd, error, self._of.tracking_error, noise, STEPS, strict=True)
             ]
         offset = self._position_offset.white(progress.rest, _OFFSET)
-        settling, _ = self._settling(progress)
-        if settling is None:
+        creep = self._creep(progress)
+        if creep is None:
             return [_stepped(p + o + n, s) for p, o, n, s in zip(q, offset, noise, STEPS, strict=True)]
-        return [_stepped(p + o + e + n, s) for p, o, e, n, s in zip(q, offset, settling, noise, STEPS, strict=True)]
+        return [_stepped(p + o + e + n, s) for p, o, e, n, s in zip(q, offset, creep, noise, STEPS, strict=True)]
 
     def speeds(self, setpoint: Setpoint, progress: Progress) -> list[float]:
         """Return the actual joint speeds, in rad/s."""
         _, qd, qdd = setpoint
         if not any(qd):
-            return _ZERO if self._is_ideal else self._settling(progress)[1] or _ZERO
+            creep = None if self._is_ideal else self._creep(progress)
+            return _ZERO if creep is None else [-each / SETTLING_TIME for each in creep]
         noise, lag = self._noise.white(progress.cycle, _SPEED), self._of.speed_lag
         return [
             v - lag * a + n * s if v else 0.0 for v, a, n, s in zip(qd, qdd, noise, self._of.speed_noise, strict=True)
         ]
 
-    def _settling(self, progress: Progress) -> tuple[list[float] | None, list[float] | None]:
-        """Return the oscillation of the joints after a stop, in rad and rad/s; None if it has ended."""
+    def _creep(self, progress: Progress) -> list[float] | None:
+        """Return the distances of the joints from the position at which they come to rest, in rad; None for zeros."""
         past = progress.still / SETTLING_TIME
         if past > _SETTLED:
-            return None, None
-        omega = 2.0 * math.pi * SETTLING_FREQUENCY
-        angle, decayed = omega * progress.still, self._of.settling * math.exp(-past)
-        share = decayed * math.cos(angle)
-        speed = -decayed * (omega * math.sin(angle) + math.cos(angle) / SETTLING_TIME)
-        amplitudes = self._noise.white(progress.rest, _SETTLING)
-        return [share * a for a in amplitudes], [speed * a for a in amplitudes]
+            return None
+        decayed = self._of.settling * math.exp(-past)
+        return [decayed * a for a in self._noise.white(progress.rest, _SETTLING)]
 
     def force_error(self, progress: Progress) -> list[float]:
         """Return offset, slow error and drift of the force sensor in the frame of the flange, in N and Nm."""
         if self._is_ideal:
             return _ZERO
-        key = progress.moved // _WANDER_STEP, progress.cycle // _DRIFT_STEP
+        key = progress.moved // _SLOW_STEP, progress.cycle // _DRIFT_STEP
         if self._error is not None and self._error[0] == key:
             return self._error[1]
         of = self._of
-        wander = self._noise.wandering(key[0] * _WANDER_STEP, progress.cycles(WANDER_TIME), _WANDER)
+        wander = self._noise.switching(key[0] * _SLOW_STEP, progress.cycles(WANDER_TIME), _WANDER)
         drift = self._noise.wandering(key[1] * _DRIFT_STEP, progress.cycles(DRIFT_TIME), _DRIFT)
         error = [
             o + w * x + d * y
@@ -289,7 +286,8 @@ class Sensors:
         s.q_actual = self.positions(setpoint, progress, is_powered)
         s.qd_actual = self.speeds(setpoint, progress)
         s.pose_target = self._pose
-        s.pose_actual = self._forward(s.q_actual)
+        frame = product(self._flange(s.q_actual), self._tool)
+        s.pose_actual = list(to_pose(frame))
         s.speed_target = s.speed_actual = _ZERO
         if any(qd):
             s.speed_target = self._velocity(q, qd, s.pose_target)
@@ -297,7 +295,7 @@ class Sensors:
             s.speed_actual = self._velocity(s.q_actual, s.qd_actual, s.pose_actual)
         s.momentum = 0.5 * self._mass * math.hypot(*s.speed_actual[:3])
         s.elbow_position, s.elbow_velocity = _elbow(*self._elbow, s.q_actual, s.qd_actual)
-        s.accelerometer = self._accelerations(setpoint, s.pose_actual, progress.cycle, is_moving)
+        s.accelerometer = self._accelerations(s, frame, progress.cycle, is_moving)
         if is_powered:
             self._measure_load(s, setpoint, self._moments(q, tcp, external), progress, is_moving)
             s.force = self._force(self.measured(q, wrench, zeroed, progress), progress, is_moving)
@@ -355,13 +353,6 @@ class Sensors:
         self._pose = list(to_pose(product(self._turn, self._tool)))
         self._load = None
 
-    def _forward(self, q: Sequence[float]) -> list[float]:
-        """Return the pose of the TCP.
-
-        `Arm.forward` would take twice as long, because it checks its arguments and makes an array.
-        """
-        return list(to_pose(product(self._flange(q), self._tool)))
-
     def _flange(self, q: Sequence[float]) -> Rigid[float]:
         q1, q2, q3, q4, q5, q6 = q
         angles, geometry = (q1, q2, q3, q4, q5, q6), self._kinematics.geometry
@@ -415,8 +406,11 @@ class Sensors:
             self._held = progress.joint_changes, list(map(mul, held, self._coulomb_error))
         error, noises = self._held[1], self._rest_current
         if is_moving:
-            slow = self._noise.wandering(progress.moved, progress.cycles(CURRENT_TIME), _SLOW_CURRENT)
-            error = [w * n if v else e for v, w, n, e in zip(qd, slow, self._slow_current, error, strict=True)]
+            step = progress.moved // _SLOW_STEP
+            if self._slow is None or self._slow[0] != step:
+                slow = self._noise.wandering(step * _SLOW_STEP, progress.cycles(CURRENT_TIME), _SLOW_CURRENT)
+                self._slow = step, list(map(mul, slow, self._slow_current))
+            error = [s if v else e for v, s, e in zip(qd, self._slow[1], error, strict=True)]
             noises = [f if v else n for v, f, n in zip(qd, self._fast_current, noises, strict=True)]
         measured = list(map(add, s.I_control, error))
         s.I_actual = list(map(add, measured, map(mul, self._noise.white(progress.cycle, _CURRENT), noises)))
@@ -431,23 +425,27 @@ class Sensors:
             self._warm = [round(16.0 * (AMBIENT + rise * warm)) / 16.0 for rise in self._rise]
         return self._warm
 
-    def _accelerations(self, setpoint: Setpoint, pose: Sequence[float], cycle: int, is_moving: bool) -> list[float]:
+    def _accelerations(self, s: Sample, tool: Rigid[float], cycle: int, is_moving: bool) -> list[float]:
         """Return the value that the accelerometer in the tool measures, in m/s² in the tool frame."""
         noise = self._accelerometer_noise.white(cycle, _ACCELEROMETER)
-        across = _upward(pose)
+        # The axes x, y and z of the tool.
+        across = tool[0:9:3], tool[1:9:3], tool[2:9:3]
         if self._is_cb2:
             return [n - GRAVITY * u[2] for u, n in zip(across, noise, strict=False)]
         x, y, z = 0.0, 0.0, GRAVITY
         if is_moving:
             # The sensor is in the flange. Compute the acceleration from two velocities of the flange, a microsecond
             # apart.
-            q, qd, qdd = setpoint
+            q, qd, qdd = s.q_target, s.qd_target, s.qdd_target
             later = [p + _MOMENT * v for p, v in zip(q, qd, strict=True)]
             faster = [v + _MOMENT * a for v, a in zip(qd, qdd, strict=True)]
-            before = self._velocity(q, qd, self._turn[9:])
+            # The velocity of the flange now follows from that of the TCP.
+            vx, vy, vz, wx, wy, wz = s.speed_target
+            dx, dy, dz = map(sub, self._turn[9:], s.pose_target[:3])
             after = self._velocity(later, faster, self._flange(later)[9:])
-            x, y, up = ((b - a) / _MOMENT for a, b in zip(before[:3], after[:3], strict=True))
-            z += up
+            x = (after[0] - (vx + wy * dz - wz * dy)) / _MOMENT
+            y = (after[1] - (vy + wz * dx - wx * dz)) / _MOMENT
+            z += (after[2] - (vz + wx * dy - wy * dx)) / _MOMENT
         bias = self._of.accelerometer_bias
         return [u[0] * x + u[1] * y + u[2] * z + b + n for u, b, n in zip(across, bias, noise, strict=False)]
 
@@ -455,12 +453,6 @@ class Sensors:
 def _stepped(value: float, step: float) -> float:
     """Return the value rounded to a multiple of `step`; a step of 0 means no rounding."""
     return step * round(value / step) if step else value
-
-
-def _upward(pose: Sequence[float]) -> tuple[tuple[float, float, float], ...]:
-    """Return the axes x, y and z of the tool as three unit vectors in the base frame."""
-    matrix = from_pose(list(pose))
-    return (matrix[0], matrix[3], matrix[6]), (matrix[1], matrix[4], matrix[7]), (matrix[2], matrix[5], matrix[8])
 
 
 def _elbow(a2: float, d1: float, q: Sequence[float], qd: Sequence[float]) -> tuple[list[float], list[float]]:

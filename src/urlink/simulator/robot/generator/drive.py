@@ -116,7 +116,7 @@ class ArmDrive:
         """
         nominal = self.generator.advance(seconds)
         if isinstance(self._compliant, FreeJoints):
-            self.setpoint = self._compliant.advance(self._arm.force_sensor.wrench, self._arm.pushed_joints, seconds)
+            self.setpoint = self._compliant.advance(self._arm.pushing_wrench, self._arm.pushed_joints, seconds)
         elif self._compliant is not None:
             wrench, torques = self._arm.wrench, self._arm.pushed_joints
             if any(torques):
