@@ -317,18 +317,8 @@ class Sensors:
         """
         if self._is_ideal:
             return wrench
-        error = self.force_error(progress)
-        a, b, c, d, e, f, g, h, i = (self._turn if q is self._posture else self._flange(q))[:9]
-        fx, fy, fz, mx, my, mz = map(sub, error, zeroed)
-        ox, oy, oz, px, py, pz = wrench
-        return [
-            ox + a * fx + b * fy + c * fz,
-            oy + d * fx + e * fy + f * fz,
-            oz + g * fx + h * fy + i * fz,
-            px + a * mx + b * my + c * mz,
-            py + d * mx + e * my + f * mz,
-            pz + g * mx + h * my + i * mz,
-        ]
+        turn = self._turn if q is self._posture else self._flange(q)
+        return list(map(add, wrench, _turned(turn, list(map(sub, self.force_error(progress), zeroed)))))
 
     def _force(self, wrench: Sequence[float], progress: Progress, is_moving: bool) -> list[float]:
         """Return the wrench with its noise, which is larger while the arm moves and just after it."""
@@ -336,10 +326,11 @@ class Sensors:
             return list(wrench)
         noise, scales = self._noise.white(progress.cycle, _FORCE), self._force_noise
         after = 0.0 if is_moving else progress.still / FORCE_SETTLING_TIME
-        if after < _SETTLED:
-            share = math.exp(-after)
-            scales = [a + share * b for a, b in zip(scales, self._of.motion_noise, strict=True)]
-        return list(map(add, wrench, map(mul, noise, scales)))
+        if after >= _SETTLED:
+            return list(map(add, wrench, map(mul, noise, scales)))
+        share = math.exp(-after)
+        scales = [a + share * b for a, b in zip(scales, self._of.motion_noise, strict=True)]
+        return list(map(add, wrench, _turned(self._turn, list(map(mul, noise, scales)))))
 
     def _look_at(self, q: Sequence[float], tcp: Sequence[float], dynamics: Dynamics) -> None:
         """Compute the values that depend on targets, tool and payload, if any of these has changed."""
@@ -453,6 +444,20 @@ class Sensors:
 def _stepped(value: float, step: float) -> float:
     """Return the value rounded to a multiple of `step`; a step of 0 means no rounding."""
     return step * round(value / step) if step else value
+
+
+def _turned(turn: Rigid[float], wrench: Sequence[float]) -> list[float]:
+    """Return a wrench along the axes of the base frame, given it along those of a frame."""
+    a, b, c, d, e, f, g, h, i, _, _, _ = turn
+    fx, fy, fz, mx, my, mz = wrench
+    return [
+        a * fx + b * fy + c * fz,
+        d * fx + e * fy + f * fz,
+        g * fx + h * fy + i * fz,
+        a * mx + b * my + c * mz,
+        d * mx + e * my + f * mz,
+        g * mx + h * my + i * mz,
+    ]
 
 
 def _elbow(a2: float, d1: float, q: Sequence[float], qd: Sequence[float]) -> tuple[list[float], list[float]]:
