@@ -386,13 +386,12 @@ def _force(log: dict[str, Array]) -> Iterator[Derived]:
     yield _per_joint("force_offset", "UR3e", force[rest].mean(axis=0), how)
     noise = _typical(np.concatenate([np.diff(force[rows[_SETTLED:]], axis=0) for rows in stops]))
     how = "median difference of neighbouring rows of settled rests, by 0.954; three axes"
-    yield _one("force_noise", "size 2", noise[:3], how)
-    yield _one("torque_noise", "size 2", noise[3:], how)
+    yield from _noises("UR3e", "size 2", noise, how, UR3E)
     middle = np.median(force[rest], axis=0)
     calm = [rows for rows in stops if np.abs(force[rows] - middle)[:, :3].max() < 1.5]
     without = " ".join(f"{each:.2g}" for each in _between(force, calm, noise)[:3])
     how = f"standard deviation of 19 rests, less the noise; {without} N without 2 rests in which the tool might touch"
-    yield _per_joint("force_wander", "", _between(force, stops, noise), how)
+    yield _per_joint("force_wander", "UR3e", _between(force, stops, noise), how)
     moves = np.flatnonzero(log["target_qd"].any(axis=1))
     motion = _typical(np.diff(force, axis=0)[moves[:-1][np.diff(moves) == 1]])
     how = "median difference of neighbouring rows in motion, by 0.954, less the noise at rest"
@@ -402,6 +401,15 @@ def _force(log: dict[str, Array]) -> Iterator[Derived]:
     whole, *halves = (_decay(_rms(each, (0, 2)), 1.0)[1] for each in (after, after[::2], after[1::2]))
     how = "first three rows after stops, exponential fit to the rms of three axes; two halves"
     yield Derived("force_settling_time", "", (whole,), (min(halves), max(halves)), UR3E, how)
+
+
+def _noises(arm: str, size: str | None, noise: Array, how: str, log: str) -> Iterator[Derived]:
+    """Return the noise of force and torque for an arm, and for other arms whose base joint has the same size."""
+    for name, part in (("force_noise", noise[:3]), ("torque_noise", noise[3:])):
+        one = _one(name, arm, part, how, log)
+        yield one._replace(values=tuple(part.tolist()))
+        if size is not None:
+            yield one._replace(of=size)
 
 
 def _typical(steps: Array) -> Array:
@@ -434,10 +442,10 @@ def _robot_current(log: dict[str, Array]) -> Iterator[Derived]:
 
 
 def _other_forces(logs: dict[str, dict[str, Array]]) -> Iterator[Derived]:
-    for name, of, size in ((UR5E, "UR5e", "size 3"), (UR5, "UR5", "UR5")):
+    for name, of, size in ((UR5E, "UR5e", "size 3"), (UR5, "UR5", None)):
         log = logs[name]
         tool = tool_of(log, LOGS[name][0])
-        rows = rests_of(log)[0]
+        rows, *_ = rests_of(log)
         force = force_of_tool(log)[rows]
         turn = rotvec_to_matrix(np.array(tool.tcp[3:]))
         mean = force.mean(axis=0)
@@ -446,10 +454,13 @@ def _other_forces(logs: dict[str, dict[str, Array]]) -> Iterator[Derived]:
         yield _per_joint(
             "force_offset", of, offset, f"mean of the first rest in the frame of the flange, one posture; {what}", name
         )
-        noise = np.sqrt(np.diff(force, axis=0).var(axis=0) / 2.0)
-        how = "differences of neighbouring rows of the first rest, by root 2; three axes"
-        yield _one("force_noise", size, noise[:3], how, name)
-        yield _one("torque_noise", size, noise[3:], how, name)
+        steps = np.concatenate([np.diff(force_of_tool(log)[each], axis=0) for each in rests_of(log)])
+        noise = np.sqrt(steps.var(axis=0) / 2.0)
+        how = "differences of neighbouring rows at rest, by root 2; three axes"
+        yield from _noises(of, size, noise, how, name)
+        if name == UR5E:
+            how = "standard deviation of 5 rests, less the noise; the rests are short"
+            yield _per_joint("force_wander", of, _between(force_of_tool(log), rests_of(log), noise), how, name)
 
 
 def _constants(logs: dict[str, dict[str, Array]]) -> Iterator[Derived]:

@@ -247,7 +247,8 @@ def test_momentum_is_that_of_the_moving_mass() -> None:
     assert moving.linear_momentum_norm is not None
     assert 0.2 * most < moving.linear_momentum_norm < most
     controller.faults.protective_stop()
-    assert run(controller, 500)[-1].linear_momentum_norm == 0.0
+    # The joints still creep for about a second.
+    assert run(controller, 1500)[-1].linear_momentum_norm == 0.0
 
 
 @pytest.mark.slow

@@ -251,8 +251,8 @@ class SimulatedArm:
     def pushing_wrench(self) -> Sequence[float]:
         """Wrench at the TCP to which the arm yields in freedrive, shape (6,), in N and Nm.
 
-        It equals `wrench`, but without the errors of the force sensor. In freedrive, a real arm yields to the torques on
-        its joints, so an offset of the sensor does not move it.
+        It equals `wrench`, but without the errors of the force sensor. In freedrive, a real arm yields to the torques
+        on its joints, so an offset of the sensor does not move it.
         """
         return self.external_force if self.uses_external_force else self.force_sensor.wrench
 

@@ -90,9 +90,15 @@ _VECTORS = dict.fromkeys(
         "force_drift",
     ),
     6,
-) | {"accelerometer_bias": 3}
+) | dict.fromkeys(("force_noise", "torque_noise", "accelerometer_bias"), 3)
 # Parameters that may be negative.
 _SIGNED = ("force_offset", "accelerometer_bias")
+
+
+def _axes(name: str, of: str) -> tuple[float, ...]:
+    """Return the values of a parameter for three axes; a single number applies to each axis."""
+    values = numbers(name, of)
+    return values * 3 if len(values) == 1 else values
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -115,9 +121,10 @@ class SensorParameters:
         stiction: Error of the actual current of a joint at rest, as a standard deviation and a fraction of the Coulomb
             friction, shape (6,). The error differs from rest to rest.
         voltage_noise: Noise of the joint voltages, in V.
-        force_noise: Noise of the force at the TCP at rest, in N.
-        torque_noise: Noise of the torque at the TCP at rest, in Nm.
-        motion_noise: Additional noise of force and torque while the arm moves, shape (6,), in N and Nm.
+        force_noise: Noise of the force at rest, in the frame of the flange, shape (3,), in N.
+        torque_noise: Noise of the torque at rest, in the frame of the flange, shape (3,), in Nm.
+        motion_noise: Additional noise of force and torque while the arm moves, in the frame of the flange, shape (6,),
+            in N and Nm.
         force_offset: Wrench that a sensor shows that was never zeroed, in the frame of the flange, shape (6,), in N and
             Nm.
         force_wander: Error of the wrench that changes while the arm moves, as a standard deviation in the frame of the
@@ -144,11 +151,11 @@ class SensorParameters:
     current_noise_at_rest: float = number("current_noise_at_rest")
     stiction: Sequence[float] = joint_numbers("stiction", "UR5e")
     voltage_noise: float = number("voltage_noise")
-    force_noise: float = number("force_noise", "size 3")
-    torque_noise: float = number("torque_noise", "size 3")
+    force_noise: Sequence[float] = _axes("force_noise", "UR5e")
+    torque_noise: Sequence[float] = _axes("torque_noise", "UR5e")
     motion_noise: Sequence[float] = numbers("motion_noise")
     force_offset: Sequence[float] = numbers("force_offset", "UR5e")
-    force_wander: Sequence[float] = numbers("force_wander")
+    force_wander: Sequence[float] = numbers("force_wander", "UR5e")
     force_drift: Sequence[float] = numbers("force_drift")
     accelerometer_noise: float = number("accelerometer_noise")
     accelerometer_bias: Sequence[float] = numbers("accelerometer_bias")
@@ -184,7 +191,8 @@ class SensorParameters:
             current_noise=joint_numbers("current_noise", name),
             current_correlation=joint_numbers("current_correlation", name),
             stiction=joint_numbers("stiction", name),
-            force_noise=number("force_noise", size),
-            torque_noise=number("torque_noise", size),
+            force_noise=_axes("force_noise", size),
+            torque_noise=_axes("torque_noise", size),
             force_offset=numbers("force_offset", name if ("force_offset", name) in parameters() else model.generation),
+            force_wander=numbers("force_wander", name if ("force_wander", name) in parameters() else "other"),
         )

@@ -174,7 +174,7 @@ class Sensors:
         shares = parameters.current_correlation
         self._slow_current = [n * math.sqrt(s) for n, s in zip(parameters.current_noise, shares, strict=True)]
         self._fast_current = [n * math.sqrt(1.0 - s) for n, s in zip(parameters.current_noise, shares, strict=True)]
-        self._force_noise = [parameters.force_noise] * 3 + [parameters.torque_noise] * 3
+        self._force_noise = [*parameters.force_noise, *parameters.torque_noise]
         self._motors = motors
         self._dynamics = Dynamics(model)
         self._tcp: list[float] = list(_ZERO)
@@ -298,7 +298,7 @@ class Sensors:
         s.accelerometer = self._accelerations(s, frame, progress.cycle, is_moving)
         if is_powered:
             self._measure_load(s, setpoint, self._moments(q, tcp, external), progress, is_moving)
-            s.force = self._force(self.measured(q, wrench, zeroed, progress), progress, is_moving)
+            s.force = self._force(wrench, zeroed, progress, is_moving)
         else:
             s.M_target = s.I_target = s.I_control = s.I_actual = s.V_actual = s.force = _ZERO
         s.T_motor = self._temperatures(int(time))
@@ -320,17 +320,20 @@ class Sensors:
         turn = self._turn if q is self._posture else self._flange(q)
         return list(map(add, wrench, _turned(turn, list(map(sub, self.force_error(progress), zeroed)))))
 
-    def _force(self, wrench: Sequence[float], progress: Progress, is_moving: bool) -> list[float]:
-        """Return the wrench with its noise, which is larger while the arm moves and just after it."""
+    def _force(
+        self, wrench: Sequence[float], zeroed: Sequence[float], progress: Progress, is_moving: bool
+    ) -> list[float]:
+        """Return the measured wrench with its noise, which is larger while the arm moves and just after it."""
         if self._is_ideal:
             return list(wrench)
         noise, scales = self._noise.white(progress.cycle, _FORCE), self._force_noise
         after = 0.0 if is_moving else progress.still / FORCE_SETTLING_TIME
-        if after >= _SETTLED:
-            return list(map(add, wrench, map(mul, noise, scales)))
-        share = math.exp(-after)
-        scales = [a + share * b for a, b in zip(scales, self._of.motion_noise, strict=True)]
-        return list(map(add, wrench, _turned(self._turn, list(map(mul, noise, scales)))))
+        if after < _SETTLED:
+            share = math.exp(-after)
+            scales = [a + share * b for a, b in zip(scales, self._of.motion_noise, strict=True)]
+        error = self.force_error(progress)
+        own = [e - z + n * s for e, z, n, s in zip(error, zeroed, noise, scales, strict=True)]
+        return list(map(add, wrench, _turned(self._turn, own)))
 
     def _look_at(self, q: Sequence[float], tcp: Sequence[float], dynamics: Dynamics) -> None:
         """Compute the values that depend on targets, tool and payload, if any of these has changed."""
