@@ -170,6 +170,7 @@ class Sensors:
         # Latest slow errors: the steps that they belong to, and their values.
         self._error: tuple[tuple[int, int], list[float]] | None = None
         self._slow: tuple[int, list[float]] | None = None
+        self._tracking: tuple[int, range, list[float], list[float]] | None = None
         self._coulomb_error = [s * c for s, c in zip(parameters.stiction, motors.coulomb, strict=True)]
         shares = parameters.current_correlation
         self._slow_current = [n * math.sqrt(s) for n, s in zip(parameters.current_noise, shares, strict=True)]
@@ -206,16 +207,31 @@ class Sensors:
         noise = self._position_noise.white(progress.cycle, _POSITION)
         if is_moving:
             lag = self._of.lag
-            error = self._noise.wandering(progress.moved, progress.cycles(TRACKING_TIME), _TRACKING)
+            error, change, past = self._tracking_error(progress)
             return [
-                _stepped(p - lag * v + e * t + n, s) if v else _stepped(p + n, s)
-                for p, v, e, t, n, s in zip(q, qd, error, self._of.tracking_error, noise, STEPS, strict=True)
+                _stepped(p - lag * v + e + past * c + n, s) if v else _stepped(p + n, s)
+                for p, v, e, c, n, s in zip(q, qd, error, change, noise, STEPS, strict=True)
             ]
         offset = self._position_offset.white(progress.rest, _OFFSET)
         creep = self._creep(progress)
         if creep is None:
             return [_stepped(p + o + n, s) for p, o, n, s in zip(q, offset, noise, STEPS, strict=True)]
         return [_stepped(p + o + e + n, s) for p, o, e, n, s in zip(q, offset, creep, noise, STEPS, strict=True)]
+
+    def _tracking_error(self, progress: Progress) -> tuple[list[float], list[float], float]:
+        """Return the tracking error of the joints at the last knot and its change until the next one, in rad.
+
+        The third value is the part of the time between both knots that has passed.
+        """
+        if self._tracking is None or progress.moved - self._tracking[0] not in self._tracking[1]:
+            count = progress.cycles(TRACKING_TIME)
+            knot = progress.moved // count
+            # The mean variance of a line between two independent numbers is two thirds of theirs.
+            scales = [1.5**0.5 * each for each in self._of.tracking_error]
+            now, then = (list(map(mul, self._noise.white(at, _TRACKING), scales)) for at in (knot, knot + 1))
+            self._tracking = knot * count, range(count), now, list(map(sub, then, now))
+        begin, steps, error, change = self._tracking
+        return error, change, (progress.moved - begin) / len(steps)
 
     def speeds(self, setpoint: Setpoint, progress: Progress) -> list[float]:
         """Return the actual joint speeds, in rad/s."""
