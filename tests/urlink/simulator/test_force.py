@@ -341,6 +341,20 @@ def test_arm_follows_a_push_in_freedrive(firmware: str, mode: str) -> None:
     assert not bench.is_stopped()
 
 
+def test_freedrive_yields_to_the_wrench_that_replaces_the_sensor() -> None:
+    """An offset of the sensor does not move the arm, but a wrench that a client has set does."""
+    controller = Controller("UR3e", "5.11", motion=Still())
+    controller.step()
+    controller.take("def p():\n  freedrive_mode()\n  sleep(60)\nend")
+    controller.step(250)
+    before = list(controller.arm.setpoint.q)
+    controller.step(250)
+    assert controller.arm.setpoint.q == before
+    controller.arm.uses_external_force, controller.arm.external_force = True, [0.0, 20.0, 0.0, 0.0, 0.0, 0.0]
+    controller.step(250)
+    assert np.abs(np.subtract(controller.arm.setpoint.q, before)).max() > 0.02
+
+
 def test_freedrive_moves_only_along_the_chosen_axes() -> None:
     bench = Bench("5.10")
     bench.run("freedrive_mode(freeAxes=[1,0,0,0,0,0], feature=p[0,0,0,0,0,0])\nsleep(60)", 0.1)

@@ -60,7 +60,9 @@ def noise(samples: Samples, coulomb: FloatArray) -> dict[str, Estimate]:
     needs = f"rests of {_SETTLING + _SHORT} s and more, at least two"
     names = ("position_noise", "position_offset", "current_noise_at_rest", "stiction", "force_noise", "torque_noise")
     found = dict.fromkeys(names, Estimate.unknown(needs))
-    found["current_noise"] = Estimate.unknown("actual_current and target_current or joint_control_output in the recording")
+    found["current_noise"] = Estimate.unknown(
+        "actual_current and target_current or joint_control_output in the recording"
+    )
     if "actual_q" in samples:
         # The targets of a rest are constant, whether they are recorded or not.
         off = samples["actual_q"] - (0.0 if "target_q" in samples.derived else samples["target_q"])
