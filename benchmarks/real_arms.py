@@ -7,6 +7,7 @@ correlation is that of neighbouring rows.
 
     python benchmarks/real_arms.py FOLDER            # folder with ur3e_rtde.csv and other logs
     python benchmarks/real_arms.py FOLDER --json     # prints one JSON object
+    python benchmarks/real_arms.py FOLDER --before OLD.json  # prints Markdown, with the values of another version
     python benchmarks/real_arms.py FOLDER --derive   # prints the rows of parameters.tsv that follow from the logs
 """
 
@@ -32,6 +33,7 @@ from urlink.simulator.robot.setpoint_sources import Setpoint
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.intp]
+Flags = npt.NDArray[np.bool_]
 
 UR3E, UR5E, UR5, TORQUE = (
     "ur3e_rtde.csv",
@@ -184,7 +186,7 @@ def tool_of(log: dict[str, Array], model: str) -> Tool:
     tcp = (*way.round(4).tolist(), *turn.round(4).tolist())
     if "payload" in log:
         return Tool(float(log["payload"][0, 0]), tuple(log["payload_cog"][0].tolist()), tcp)
-    rows = np.flatnonzero(~log["target_qd"].any(axis=1))[::50]
+    rows = np.flatnonzero(~_moving(log))[::50]
     moments = [np.concatenate([_gravity(arm, log["target_q"][n], *load) for n in rows]) for load in _LOADS]
     bare, *loaded = moments
     columns = np.column_stack([loaded[0] - bare, *(each - loaded[0] for each in loaded[1:])])
@@ -238,7 +240,7 @@ def _correlation(values: Array) -> float:
 
 def compare(log: dict[str, Array], simulated: dict[str, Array]) -> list[Row]:
     """Return the table of one log."""
-    rest = np.asarray(~log["target_qd"].any(axis=1))
+    rest = ~_moving(log)
     table = []
     for field, target in FIELDS.items():
         if field == "force_at_rest":
@@ -268,9 +270,13 @@ def compare(log: dict[str, Array], simulated: dict[str, Array]) -> list[Row]:
 # -- parameters --------------------------------------------------------------------------------------
 
 
+def _moving(log: dict[str, Array]) -> Flags:
+    return np.asarray(log["target_qd"].any(axis=1))
+
+
 def rests_of(log: dict[str, Array]) -> list[Rows]:
     """Return the rows of each rest."""
-    at = np.flatnonzero(~log["target_qd"].any(axis=1))
+    at = np.flatnonzero(~_moving(log))
     return np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)
 
 
@@ -307,7 +313,7 @@ def _decay(values: Array, floor: float) -> tuple[float, float]:
 
 
 def _tracking(log: dict[str, Array]) -> Iterator[Derived]:
-    moves = log["target_qd"].any(axis=1)
+    moves = _moving(log)
     off = log["actual_q"] - log["target_q"]
     left = (off + number("tracking_lag") * log["target_qd"])[moves]
     noise = number("position_noise")
@@ -331,7 +337,7 @@ def _tracking(log: dict[str, Array]) -> Iterator[Derived]:
 
 
 def _currents(log: dict[str, Array]) -> Iterator[Derived]:
-    moves = log["target_qd"].any(axis=1)
+    moves = _moving(log)
     off = log["actual_current"] - log["target_current"]
     off = off - off.mean(axis=0)
     spread = off[moves].std(axis=0)
@@ -365,7 +371,7 @@ def _currents(log: dict[str, Array]) -> Iterator[Derived]:
     yield _one("stiction", "other", stiction, f"{how}; six joints")
 
 
-def _half_time(off: Array, moves: npt.NDArray[np.bool_]) -> tuple[tuple[float], tuple[float, float]]:
+def _half_time(off: Array, moves: Flags) -> tuple[tuple[float], tuple[float, float]]:
     lags = range(1, 40)
     pairs = [moves[lag:] & moves[:-lag] for lag in lags]
     alike = np.array([(off[lag:] * off[:-lag])[both].mean(axis=0) for lag, both in zip(lags, pairs, strict=True)])
@@ -392,7 +398,7 @@ def _force(log: dict[str, Array]) -> Iterator[Derived]:
     without = " ".join(f"{each:.2g}" for each in _between(force, calm, noise)[:3])
     how = f"standard deviation of 19 rests, less the noise; {without} N without 2 rests in which the tool might touch"
     yield _per_joint("force_wander", "UR3e", _between(force, stops, noise), how)
-    moves = np.flatnonzero(log["target_qd"].any(axis=1))
+    moves = np.flatnonzero(_moving(log))
     motion = _typical(np.diff(force, axis=0)[moves[:-1][np.diff(moves) == 1]])
     how = "median difference of neighbouring rows in motion, by 0.954, less the noise at rest"
     yield _per_joint("motion_noise", "", np.sqrt(np.maximum(motion**2 - noise**2, 0.0)), how)
@@ -483,7 +489,8 @@ def _friction(log: dict[str, Array]) -> Derived:
         at = (np.abs(np.abs(speed) - step) < 1e-6) & (log["ddq_des"][:, 0] == 0.0)
         forward, back = (float(torque[at & (sign * speed > 0.0)].mean()) for sign in (1.0, -1.0))
         found.append((float(step), 0.5 * (forward - back) / constant))
-    slope, begin = np.polyfit(*np.array(found).T, 1)
+    steps, currents = np.array(found).T
+    slope, begin = np.polyfit(steps, currents, 1)
     return Derived(
         "friction",
         "wrist 2",
@@ -494,12 +501,31 @@ def _friction(log: dict[str, Array]) -> Derived:
     )
 
 
+def markdown(tables: dict[str, list[Row]], before: dict[str, list[Row]]) -> Iterator[str]:
+    """Return the lines of the tables of all logs; the pairs in a cell are those of the older and of this version."""
+    for name, table in tables.items():
+        yield f"\n## {name}, {' with firmware '.join(LOGS[name])}\n"
+        yield "| field | joint | R² | largest error | mean: real, simulated | spread | correlation |"
+        yield "| --- | --- | --- | --- | --- | --- | --- |"
+        for old, new in zip(before[name], table, strict=True):
+            r2 = "constant" if np.isnan(new.r2) else f"{_limited(old.r2)} → {_limited(new.r2)}"
+            largest = f"{old.largest:.3g} → {new.largest:.3g}"
+            cells = (f"{b[0]:.3g}: {a[1]:.3g} → {b[1]:.3g}" for a, b in zip(old[4:6], new[4:6], strict=True))
+            alike = f"{new.correlation[0]:.2f}: {old.correlation[1]:.2f} → {new.correlation[1]:.2f}"
+            yield " | ".join((f"| {new.field}", str(new.joint), r2, largest, *cells, f"{alike} |"))
+
+
+def _limited(r2: float) -> str:
+    return "below -9" if r2 < -9.0 else f"{r2:.3f}"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="Compare the simulator with the logs of real arms.")
     parser.add_argument("folder", type=Path, help="folder with the logs")
     parser.add_argument("--no-noise", action="store_true", help="simulate ideal sensors")
     parser.add_argument("--seed", type=int, default=0, help="seed of the noise, default 0")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--before", type=Path, help="JSON object of an older version; print Markdown")
     parser.add_argument("--derive", action="store_true", help="print the parameters that follow from the logs")
     args = parser.parse_args()
     if args.derive:
@@ -512,6 +538,11 @@ def main() -> None:
         tables[name] = compare(log, simulate(log, name, noise=not args.no_noise, seed=args.seed))
     if args.json:
         print(json.dumps({name: [row._asdict() for row in table] for name, table in tables.items()}))
+        return
+    if args.before is not None:
+        old = json.loads(args.before.read_text(encoding="utf-8"))
+        rows = {name: [Row(**row) for row in table] for name, table in old.items()}
+        print(*markdown(tables, rows), sep="\n")
         return
     for name, table in tables.items():
         print(f"\n{name}: real | simulated")
