@@ -102,5 +102,5 @@ def test_noisy_measurements_at_rest_never_stand_still(name: str) -> None:
     rest = ~log["target_qd"].any(axis=1)
     both = rest[1:] & rest[:-1]
     for values in (log, script().simulate(log, name)):
-        for field in ("actual_q", "actual_current"):
+        for field in ("actual_q", "actual_current", "actual_tool_accelerometer"):
             assert np.diff(values[field], axis=0)[both].any(axis=1).all(), field

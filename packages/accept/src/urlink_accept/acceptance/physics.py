@@ -262,9 +262,10 @@ def _currents(evidence: Evidence) -> Measured:
 
 #: Measured quantities that have noise on every arm, and quantities that are suspicious if all six joints have the same
 #: value.
-_NOISY, _UNEQUAL = ("q_actual", "I_actual"), ("q_actual", "I_actual", "motor_temperatures", "V_actual")
-#: Duration in s after which a constant measurement is suspicious. In the logs of a UR3e, a UR5e and a UR5 CB3, no noisy
-#: measurement is the same for all joints in two rows 8 to 40 ms apart, and each joint differs after at most 80 ms.
+_NOISY = ("q_actual", "I_actual", "tool_accelerometer")
+_UNEQUAL = ("q_actual", "I_actual", "motor_temperatures", "V_actual")
+#: Duration in s after which a constant measurement is suspicious. In the logs of a UR3e, a UR5e and a UR5 CB3 at rest, no
+#: noisy measurement is the same for all joints or axes in two rows, which are 8 to 40 ms apart.
 _CONSTANT = 1.5
 
 
