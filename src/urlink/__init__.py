@@ -97,6 +97,7 @@ if TYPE_CHECKING:
     from .motion.moves.trajectory import Trajectory as Trajectory, TrajectoryPoint as TrajectoryPoint
     from .packets import RealtimeState as RealtimeState, RobotModeData as RobotModeData
     from .robot import Robot as Robot, connect as connect
+    from .stop_explanation import StopCause as StopCause, StopCurves as StopCurves, StopExplanation as StopExplanation
 
 else:
     __getattr__, __dir__, __all__ = lazy_names(
@@ -146,6 +147,7 @@ else:
             ".motion.moves.trajectory": "Trajectory TrajectoryPoint",
             ".packets": "RealtimeState RobotModeData",
             ".robot": "Robot connect",
+            ".stop_explanation": "StopCause StopCurves StopExplanation",
         },
         modules="arm.dynamics arm.kinematics arm.models motion packets arm.poses rtde arm.urdf",
         foreign=".foreign_names",

@@ -32,6 +32,7 @@ from urlink.arm.dynamics import GRAVITY, Dynamics
 from urlink.arm.kinematics import Arm as Kinematics
 from urlink.arm.kinematics.geometry import chain, flange, velocity
 from urlink.arm.motors import Motors
+from urlink.arm.parameters import number
 from urlink.arm.rigid import FLOATS, IDENTITY, Rigid, from_pose, product, to_pose
 
 from .characteristics import (
@@ -65,6 +66,9 @@ _SETTLED = 6.0
 _RISE = 1.0
 # Time interval in s between the two speeds from which an acceleration is computed.
 _MOMENT = 1e-6
+# Fraction of the maximum torque with which the controller pushes a joint that deviates by 1 rad from its target.
+# Assumed: half of the maximum torque at the deviation that causes a stop.
+_PUSH = 0.5 / number("position_deviation_limit")
 
 
 @dataclass(slots=True, init=False, eq=False, repr=False)
@@ -194,11 +198,19 @@ class Sensors:
             rise + _RISE * math.sqrt(abs(m / k))
             for rise, m, k in zip(TEMPERATURE_RISE, load, motors.torque_constants, strict=True)
         ]
+        #: Deviation of the joints from their targets, in rad, in addition to lag and noise; see `SimulatedArm.drags`.
+        self.deviation: Sequence[float] = _ZERO
+        torque = model.max_torque.tolist()
+        self._push = [_PUSH * m / k for m, k in zip(torque, motors.torque_constants, strict=True)]
         self._warmed_to = -1
         self._warm: list[float] = []
 
     def positions(self, setpoint: Setpoint, progress: Progress, is_powered: bool) -> list[float]:
         """Return the actual joint positions, in rad. `progress` selects their errors."""
+        measured = self._positions(setpoint, progress, is_powered)
+        return list(map(add, measured, self.deviation)) if any(self.deviation) else measured
+
+    def _positions(self, setpoint: Setpoint, progress: Progress, is_powered: bool) -> list[float]:
         q, qd, _ = setpoint
         is_moving = any(qd)
         if self._is_ideal or not (is_powered or is_moving):
@@ -405,6 +417,10 @@ class Sensors:
             s.I_actual = s.I_control
         else:
             self._add_current_errors(s, setpoint.qd, progress, is_moving)
+        if any(self.deviation):
+            # The controller pushes a joint towards its target.
+            pushed = [-push * d for push, d in zip(self._push, self.deviation, strict=True)]
+            s.I_control, s.I_actual = list(map(add, s.I_control, pushed)), list(map(add, s.I_actual, pushed))
         noise = self._voltage_noise.white(progress.cycle, _VOLTAGE)
         idle, drop, step = JOINT_VOLTAGE
         s.V_actual = [_stepped(idle - drop * abs(i) + n, step) for i, n in zip(s.I_control, noise, strict=True)]
