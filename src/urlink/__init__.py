@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     from .protocol.decoding import decode as decode, schema as schema
     from .errors import (
         CompileError as CompileError,
+        LimitExceeded as LimitExceeded,
         NoContact as NoContact,
         NotConfirmed as NotConfirmed,
         NotEnabled as NotEnabled,
@@ -95,6 +96,7 @@ if TYPE_CHECKING:
     from .motion.moves.trajectory import Trajectory as Trajectory, TrajectoryPoint as TrajectoryPoint
     from .packets import RealtimeState as RealtimeState, RobotModeData as RobotModeData
     from .robot import Robot as Robot, connect as connect
+    from .session.session_limits import SessionLimits as SessionLimits
 
 else:
     __getattr__, __dir__, __all__ = lazy_names(
@@ -126,7 +128,7 @@ else:
             ".recording.recording": "Recording load",
             ".protocol.decoding": "decode schema",
             ".errors": """
-                CompileError NoContact NotConfirmed NotEnabled NotOffered NotRunning ProgramStopped SafetyStop
+                CompileError LimitExceeded NoContact NotConfirmed NotEnabled NotOffered NotRunning ProgramStopped SafetyStop
                 ScriptError ScriptFailed StatementDiscarded ToleranceExceeded
             """,
             ".protocol.firmware": "Firmware",
@@ -142,6 +144,7 @@ else:
             ".motion.moves.trajectory": "Trajectory TrajectoryPoint",
             ".packets": "RealtimeState RobotModeData",
             ".robot": "Robot connect",
+            ".session.session_limits": "SessionLimits",
         },
         modules="arm.dynamics arm.kinematics arm.models motion packets arm.poses rtde arm.urdf",
         foreign=".foreign_names",

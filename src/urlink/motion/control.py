@@ -92,6 +92,7 @@ class Control:
         self._monitor = monitor = SafetyMonitor(slow, fast, interlock, section, callbacks)
         self._undos = undos = PendingUndos.of(peers[0], host, self, *peers[1:]) if peers else PendingUndos(host)
         channel = CommandChannel(slow, monitor, section, undos=undos)
+        limits = options.limits
         start_place = StartPlace(options.start_register, tuple(options.start_flags))
         self._programs = programs = Programs(
             slow,
@@ -102,13 +103,21 @@ class Control:
             start_timeout=options.start_timeout,
             start_place=start_place,
             who=who,
+            limits=limits,
         )
 
         def dashboard(timeout: float) -> Dashboard:
             known, api_port = lambda: who.identity.firmware, ports.get("robot_api")
             dashboard_port, on_stop = ports.get("dashboard"), monitor.overtake
             return Dashboard(
-                host, dashboard_port, known, api_port=api_port, timeout=timeout, undos=undos, on_stop=on_stop
+                host,
+                dashboard_port,
+                known,
+                api_port=api_port,
+                timeout=timeout,
+                undos=undos,
+                on_stop=on_stop,
+                allow=programs.allow,
             )
 
         def is_remote() -> bool | None:
@@ -124,8 +133,9 @@ class Control:
         self.safety = Safety(monitor)
         self.script = Scripts(programs, channel, callbacks)
         inputs = (lambda: rtde()._brief_claims()) if options.commands_via == "auto" else None
+        is_moving = lambda: programs.current is not None
         setting_channel = SettingChannel(channel, slow, section, inputs)
-        self.settings = Settings(setting_channel, slow, fast, who, section, is_remote, start_place)
+        self.settings = Settings(setting_channel, slow, fast, who, section, is_remote, start_place, limits, is_moving)
         self.interpreters = Interpreters(
             host, ports.get("interpreter"), programs, channel, callbacks, lambda: who.identity.firmware, undos, timeout
         )
@@ -134,7 +144,8 @@ class Control:
         registers = RegisterPort(lambda names: rtde().inputs(*names), timeout, SETPOINT_INPUTS, RegisterLink)
         links = PointLinks(lambda *names: rtde().outputs(*names))
         points = RegisterPort(lambda names: rtde().inputs(*names), timeout, POINT_INPUTS, links)
-        self.motion = Motions(MotionContext(programs, channel, realtime, who, reverse, registers, points, section))
+        context = MotionContext(programs, channel, realtime, who, reverse, registers, points, section, limits=limits)
+        self.motion = Motions(context)
 
     @property
     def dashboard(self) -> Dashboard:
