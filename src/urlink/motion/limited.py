@@ -25,6 +25,7 @@ from ..session.session_limits import MARGIN, WATCHED, SessionLimits
 if TYPE_CHECKING:
     from ..arm.kinematics import Arm
     from .moves.trajectory import Trajectory
+    from .servo.jerk_limited import Prediction
 
 #: Largest sum of the turns of all joints between two samples, in rad. Chosen: the TCP of the longest arm (1.9 m) then
 #: deviates from the straight line between two samples by at most 1.9 * 0.02² / 8 = 0.1 mm.
@@ -42,6 +43,11 @@ _LEAP = 0.5
 LATE = 4
 #: Delays in s after which a new program can take over from a motion at a speed.
 DELAYS = (0.0, 0.05, 0.1)
+#: Deceleration with which the program of a servo brakes at its end (`urlink.script.links.BRAKE`), in rad/s², and
+#: rounding error of a set-point, in rad.
+_STOPPING, _ROUNDED = 4.0, 2e-6
+#: Time in s for the way from the position of the arm to the first set-point of a servo. Chosen: ``servoj`` takes longer.
+FIRST_STEP = 0.01
 #: Watched motions: number of cycles until the arm begins to brake, and deceleration of the joints, in rad/s².
 _REACTION, _BRAKING = 6, 2.0
 
@@ -304,6 +310,31 @@ class LimitedArm:
         xd = np.concatenate([speed * direction, np.zeros(3)])
         self.check_tool_speed(xd, acceleration, seconds, delays=(0.0,))
 
+    def check_setpoint(self, before: Sequence[float], q: Sequence[float], seconds: float) -> None:
+        """Check one set-point of a servo: its place, the speed from the last set-point, and braking after it.
+
+        Args:
+            before, q: The last set-point and this one, (6,) rad.
+            seconds: Time for the motion between both, in s.
+        """
+        rows = np.array([before, q])
+        speeds = (rows[1] - rows[0]) / seconds
+        rest = rows[1] + speeds * float(np.abs(speeds).max()) / (2.0 * _STOPPING)
+        self.check(np.stack([rows[1], 0.5 * (rows[1] + rest), rest]))
+        # Set-points are rounded to millionths.
+        exact = np.sign(speeds) * np.maximum(np.abs(speeds) - _ROUNDED / seconds, 0.0)
+        self.limits.check_joint_speeds(exact[np.newaxis])
+        if self.limits.tool_speed is not None:
+            self.limits.check_tool_speeds(self.tool_speeds(rows[1], exact).reshape(1))
+
+    def can_coast(self, q: Sequence[float], qd: Sequence[float], seconds: float) -> bool:
+        """Whether the tool stays in the box if the joints continue from `q` at `qd` for `seconds`."""
+        try:
+            self.check(np.array([[a + part * seconds * b for a, b in zip(q, qd, strict=True)] for part in (0.5, 1.0)]))
+        except LimitExceeded:
+            return False
+        return True
+
     @property
     def _reach(self) -> float:
         """Upper bound of the distance of the TCP from the axis of any joint, in m."""
@@ -323,6 +354,19 @@ class LimitedArm:
         braking = float(np.abs(qd).max()) / (2.0 * _BRAKING)
         rest = q + (seconds + braking) * qd
         self.check(np.stack([q, 0.5 * (q + rest), rest]), np.stack([qd, qd, qd]))
+
+
+def check_targets(limited: LimitedArm, predictions: Sequence[Prediction]) -> None:
+    """Check predicted motions of a target filter.
+
+    Raises:
+        LimitExceeded: If one of the motions exceeds a limit.
+    """
+    for after, duration in predictions:
+        rough = np.array([after(t)[0] for t in np.linspace(0.0, duration, LEAST_SAMPLES)])
+        n = _count(2.0 * float(np.abs(np.diff(rough, axis=0)).sum()) / STEP)
+        samples = [after(t) for t in np.linspace(0.0, duration, n).tolist()]
+        limited.check(np.array([q for q, _ in samples]), np.array([qd for _, qd in samples]))
 
 
 def speed_along(

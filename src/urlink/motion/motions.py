@@ -467,6 +467,8 @@ class Motions(StrictAttributes):
             check_choice(target_filter, "target_filter", get_args(TargetFilterName))
             check_overridden("schedule() is not available with a target filter", delay=delay)
             limits = joint_limits(self._context.who.identity.arm, speed, acceleration, jerk)
+            if self._context.limits is not None:
+                self._context.limits.check_joint_speeds(np.array([[limit.speed for limit in limits]]))
         return Servo(self._context, pace, servoing, self._opener(link), limits, _delay(delay))
 
     def stream(

@@ -17,6 +17,7 @@ from ...arm.vectors import FloatArray
 from ...protocol.firmware import Firmware
 from ...script.buffering import buffering
 from ..context import MotionContext
+from ..limited import LimitedArm
 from ..moves.path import shown_tcp
 from ..servo.block_motion import BlockMotion
 from ..servo.jerk_limited import JointLimit
@@ -78,7 +79,8 @@ class PointStream(BlockMotion):
         self.buffer = buffer
         cycle = 1.0 / firmware.rate
         shortest = 2.0 * cycle  # the program reads a message per cycle, and must read points faster than the arm moves
-        bounds = Bounds(identity.arm, servoing.speeds, limits)
+        self._limited: LimitedArm | None = None
+        bounds = Bounds(identity.arm, servoing.speeds, limits, self._limited_arm)
         self._reader = PointReader(bounds, shortest, partial(_inverse, context))
         capacity = min(round(buffer / shortest) + 4, _MOST)
         write = partial(
@@ -106,6 +108,12 @@ class PointStream(BlockMotion):
         self._feed.pace = pace
         pace.is_paused = partial(getattr, self._program, "is_paused")
         self._life.on_end(pace.leave)
+
+    def _limited_arm(self) -> LimitedArm | None:
+        """Return the arm with the limits of the session and the TCP at the first points; None without limits."""
+        if self._limited is None:
+            self._limited = self._context.limited()
+        return self._limited
 
     # -- points ----------------------------------------------------------------------------------------
 
