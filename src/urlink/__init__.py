@@ -128,8 +128,8 @@ else:
             ".recording.recording": "Recording load",
             ".protocol.decoding": "decode schema",
             ".errors": """
-                CompileError LimitExceeded NoContact NotConfirmed NotEnabled NotOffered NotRunning ProgramStopped SafetyStop
-                ScriptError ScriptFailed StatementDiscarded ToleranceExceeded
+                CompileError LimitExceeded NoContact NotConfirmed NotEnabled NotOffered NotRunning ProgramStopped
+                SafetyStop ScriptError ScriptFailed StatementDiscarded ToleranceExceeded
             """,
             ".protocol.firmware": "Firmware",
             ".group": "Group",

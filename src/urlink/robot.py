@@ -272,7 +272,9 @@ class Robot(StrictAttributes, Closing):
             from .rtde import Rtde
 
             who = self._who  # a reference to `self` would be a cycle, because `self` holds the new object
-            made = Rtde(self.address, self._source, lambda: who.identity.firmware, refusal=self._refusal, limits=self._limits)
+            made = Rtde(
+                self.address, self._source, lambda: who.identity.firmware, refusal=self._refusal, limits=self._limits
+            )
             rtde = self._rtde.keep(made)
             if self._is_closed:
                 rtde.close(0.0)

@@ -17,6 +17,7 @@ from ..session.session_limits import SessionLimits
 from .limited import LimitedArm
 from .links.register_link import PointRegisterLink, RegisterLink, RegisterPort
 from .links.reverse import ReversePort
+from .moves.path import shown_tcp
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ class MotionContext:
             LocalError: If the model of the arm is unknown.
             LinkTimeout, RemoteError: If no state arrives.
         """
-        return None if self.limits is None else LimitedArm(self.limits, self.who, self.state())
+        return None if self.limits is None else LimitedArm(self.limits, self.who, self.state(), shown_tcp)
 
     def limited_at_rest(self) -> LimitedArm | None:
         """Return the arm like `limited`, after checking that it is at rest with its tool in the box.

@@ -133,7 +133,10 @@ class Control:
         self.safety = Safety(monitor)
         self.script = Scripts(programs, channel, callbacks)
         inputs = (lambda: rtde()._brief_claims()) if options.commands_via == "auto" else None
-        is_moving = lambda: programs.current is not None
+
+        def is_moving() -> bool:
+            return programs.current is not None
+
         setting_channel = SettingChannel(channel, slow, section, inputs)
         self.settings = Settings(setting_channel, slow, fast, who, section, is_remote, start_place, limits, is_moving)
         self.interpreters = Interpreters(

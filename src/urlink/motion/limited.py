@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -24,8 +24,6 @@ from ..session.session_limits import MARGIN, WATCHED, SessionLimits
 
 if TYPE_CHECKING:
     from ..arm.kinematics import Arm
-    from .moves.trajectory import Trajectory
-    from .servo.jerk_limited import Prediction
 
 #: Largest sum of the turns of all joints between two samples, in rad. Chosen: the TCP of the longest arm (1.9 m) then
 #: deviates from the straight line between two samples by at most 1.9 * 0.02² / 8 = 0.1 mm.
@@ -46,10 +44,31 @@ DELAYS = (0.0, 0.05, 0.1)
 #: Deceleration with which the program of a servo brakes at its end (`urlink.script.links.BRAKE`), in rad/s², and
 #: rounding error of a set-point, in rad.
 _STOPPING, _ROUNDED = 4.0, 2e-6
-#: Time in s for the way from the position of the arm to the first set-point of a servo. Chosen: ``servoj`` takes longer.
+#: Time in s for the way from the position of the arm to the first set-point of a servo. Chosen: ``servoj`` takes
+#: longer.
 FIRST_STEP = 0.01
-#: Watched motions: number of cycles until the arm begins to brake, and deceleration of the joints, in rad/s².
-_REACTION, _BRAKING = 6, 2.0
+#: Watched motions: number of cycles until the arm begins to brake.
+_REACTION = 6
+
+
+#: Predicted motion: a function that returns positions in rad and speeds in rad/s, (6,) each, at a time in s, and the
+#: duration of the motion in s.
+Prediction = tuple[Callable[[float], tuple[list[float], list[float]]], float]
+
+
+class JointCurve(Protocol):
+    """Timed curve of the joints, such as a `Trajectory`."""
+
+    @property
+    def time(self) -> FloatArray:
+        """Times of the points, (n,) s."""
+
+    @property
+    def q(self) -> FloatArray:
+        """Positions at the points, (n, 6) rad."""
+
+    def at(self, t: FloatArray, /) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return positions, speeds and accelerations at times."""
 
 
 class LimitedArm:
@@ -58,22 +77,27 @@ class LimitedArm:
     Args:
         limits: Limits of the session.
         who: Identity of the controller.
-        state: State of the robot, which shows the position and the TCP of the arm.
+        state: State of the robot, which shows the position of the arm.
+        tcp_of: Function that returns the TCP in the flange frame that a state shows.
 
     Raises:
         LocalError: If the model of the arm is unknown, so that its motions cannot be predicted.
     """
 
-    def __init__(self, limits: SessionLimits, who: KnownIdentity, state: RealtimeState) -> None:
-        from .moves.path import shown_tcp
-
+    def __init__(
+        self,
+        limits: SessionLimits,
+        who: KnownIdentity,
+        state: RealtimeState,
+        tcp_of: Callable[[Arm, RealtimeState], FloatArray],
+    ) -> None:
         identity = who.identity
         if identity.arm is None:
             raise LocalError("the controller does not report a known model of the arm, so limits cannot be checked")
         self.limits = limits
         self.cycle = 1.0 / identity.firmware.rate
         self.arm: Arm = identity.kinematics
-        self.tcp = shown_tcp(self.arm, state)
+        self.tcp = tcp_of(self.arm, state)
         self.q: FloatArray = np.array(state.q_target)
         self.qd: FloatArray = np.array(state.qd_target)
 
@@ -126,8 +150,16 @@ class LimitedArm:
 
     # -- predictions -----------------------------------------------------------------------------------
 
-    def check_joint_way(self, end: FloatArray, speed: float, acceleration: float, *, starts_fast: bool = False,
-                        ends_fast: bool = False, start: FloatArray | None = None) -> None:
+    def check_joint_way(
+        self,
+        end: FloatArray,
+        speed: float,
+        acceleration: float,
+        *,
+        starts_fast: bool = False,
+        ends_fast: bool = False,
+        start: FloatArray | None = None,
+    ) -> None:
         """Check a motion that is straight in joint space, with a trapezoid of the speed of the leading joint.
 
         Args:
@@ -161,7 +193,9 @@ class LimitedArm:
             middles = 0.5 * (before[:, np.newaxis] + after[np.newaxis])
             self.check(np.concatenate([middles.reshape(-1, 6), corner[np.newaxis]]))
 
-    def check_joint_speed(self, qd: FloatArray, acceleration: float, seconds: float, *, delays: Sequence[float]) -> None:
+    def check_joint_speed(
+        self, qd: FloatArray, acceleration: float, seconds: float, *, delays: Sequence[float]
+    ) -> None:
         """Check a motion at speeds of the joints: change of speed, constant speed, and braking.
 
         Args:
@@ -256,7 +290,9 @@ class LimitedArm:
                     turned = rotvec_to_matrix(pose[3:])
                     wanted = np.concatenate([turned @ xd[:3], turned @ xd[3:]])
                 most = (acceleration if t <= delay + seconds else braking) * dt
-                new = np.concatenate([_towards(velocity[:3], wanted[:3], most), _towards(velocity[3:], wanted[3:], most)])
+                new = np.concatenate(
+                    [_towards(velocity[:3], wanted[:3], most), _towards(velocity[3:], wanted[3:], most)]
+                )
             else:
                 new = velocity
             way = (0.5 * dt * (velocity + new)).tolist()
@@ -270,7 +306,10 @@ class LimitedArm:
         return np.array(poses), dt
 
     def check_curve(
-        self, sample: Callable[[FloatArray], tuple[FloatArray, FloatArray]], times: FloatArray, offset: FloatArray | None = None
+        self,
+        sample: Callable[[FloatArray], tuple[FloatArray, FloatArray]],
+        times: FloatArray,
+        offset: FloatArray | None = None,
     ) -> None:
         """Check a timed curve of the joints.
 
@@ -285,17 +324,19 @@ class LimitedArm:
         q, qd = sample(_between(times, min(max(math.ceil(8.0 * furthest / STEP), 32), 256) + 1))
         margin = MARGIN
         if offset is not None and np.abs(offset).max() > 0.0:
-            # The difference fades within 0.2 s or at 0.25 rad/s (`urlink.motion.servo.follower`). It moves the TCP by at
-            # most the length of the arm times the sum of the differences.
+            # The difference fades within 0.2 s or at 0.25 rad/s (`urlink.motion.servo.follower`). It moves the TCP by
+            # at most the length of the arm times the sum of the differences.
             margin += self._reach * float(np.abs(offset).sum())
             seconds = max(6.0 * float(np.abs(offset).max()), 0.2)
             qd = qd + np.sign(qd) * 1.5 * np.abs(offset) / seconds
         self.check(q, qd, margin)
 
-    def check_trajectory(self, trajectory: Trajectory) -> None:
+    def check_trajectory(self, trajectory: JointCurve) -> None:
         """Check a trajectory that begins close to the position of the arm."""
         offset = self.q - trajectory.q[0]
-        self.check_curve(lambda t: trajectory.at(t)[:2], trajectory.time, offset if np.abs(offset).max() < 0.5 else None)
+        self.check_curve(
+            lambda t: trajectory.at(t)[:2], trajectory.time, offset if np.abs(offset).max() < 0.5 else None
+        )
 
     def check_contact(self, direction: FloatArray, speed: float, acceleration: float, distance: float) -> None:
         """Check a straight motion until a contact, over its whole distance, and braking at its end.
@@ -351,7 +392,7 @@ class LimitedArm:
             LimitExceeded: If the arm is too fast, or would leave the box before it is at rest.
         """
         seconds = _REACTION * self.cycle
-        braking = float(np.abs(qd).max()) / (2.0 * _BRAKING)
+        braking = float(np.abs(qd).max()) / (2.0 * _STOPPING)
         rest = q + (seconds + braking) * qd
         self.check(np.stack([q, 0.5 * (q + rest), rest]), np.stack([qd, qd, qd]))
 

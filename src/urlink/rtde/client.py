@@ -71,7 +71,15 @@ class Rtde(StrictAttributes):
         limits: Limits of the session; None if it has none.
     """
 
-    def __init__(self, name: str, source: Source, firmware: Callable[[], Firmware], *, refusal: str = "", limits: SessionLimits | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        source: Source,
+        firmware: Callable[[], Firmware],
+        *,
+        refusal: str = "",
+        limits: SessionLimits | None = None,
+    ) -> None:
         self._name = name
         self._limits = limits
         self._source = source

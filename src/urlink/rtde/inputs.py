@@ -109,7 +109,14 @@ class Inputs(StrictAttributes, Closing):
         names: Names of the variables that can be sent, without the masks, which are set automatically.
     """
 
-    def __init__(self, connection: Connection, transport: RtdeTransport, names: Sequence[str], timeout: float, limits: SessionLimits | None = None) -> None:
+    def __init__(
+        self,
+        connection: Connection,
+        transport: RtdeTransport,
+        names: Sequence[str],
+        timeout: float,
+        limits: SessionLimits | None = None,
+    ) -> None:
         self._limits = limits
         self.names = tuple(name for name in names if name not in _MASKS)
         self._connection = connection

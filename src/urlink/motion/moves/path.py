@@ -35,9 +35,9 @@ from ...script import commands
 from ..slider import SliderEffect, slider
 
 if TYPE_CHECKING:
-    from ..limited import LimitedArm
     from ...arm.curves import Curve
     from ...arm.kinematics import Arm
+    from ..limited import LimitedArm
 
 #: Largest blend radius in m. A larger value probably has the wrong unit, because no arm is longer.
 _WIDEST = 2.0

@@ -28,6 +28,7 @@ from linkcore.arguments import check_number
 
 from ...arm.models import Model
 from ...arm.vectors import JOINTS, six_limits
+from ..limited import Prediction
 
 #: Maximum number of steps of `root`. Each step at least halves the bracket, so 60 steps are always enough; six are
 #: usual.
@@ -142,11 +143,6 @@ class JointProfile:
             if t < end:
                 return _after(x, v, a, jerk, t - begin)
         return self._target, 0.0, 0.0
-
-
-#: Predicted motion: a function that returns positions in rad and speeds in rad/s, (6,) each, at a time in s, and the
-#: duration of the motion in s.
-Prediction = tuple[Callable[[float], tuple[list[float], list[float]]], float]
 
 
 class TargetFilter:

@@ -115,6 +115,8 @@ class Jog(BlockMotion):
         Raises:
             BadValue: If `speeds` is not six finite numbers, or if a speed is faster than the arm can move. The previous
                 speeds remain.
+            LimitExceeded: If the arm could exceed a limit of the session until these speeds expire and it is at rest.
+                The previous speeds remain.
             SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: If the jog has ended.
             LocalError: If called outside the ``with`` block.
         """

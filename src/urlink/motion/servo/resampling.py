@@ -19,11 +19,11 @@ from linkcore.errors import BadValue
 from ...arm.models import Model
 from ...command.program_time import ProgramTimer
 from ...protocol.realtime.packets import RealtimeState
-from ..limited import LimitedArm
+from ..limited import LimitedArm, Prediction
 from ..links.messages import WAIT_MESSAGE
 from ..moves.trajectory import Trajectory
 from .following import Rest
-from .jerk_limited import JointLimit, Prediction, TargetFilter
+from .jerk_limited import JointLimit, TargetFilter
 from .setpoints import Servoing, SetpointStream
 
 #: Largest differences of any joint that are faded out, in position (rad) and in speed (rad/s). Chosen: at 1 rad/s, the

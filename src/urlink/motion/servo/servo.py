@@ -246,9 +246,7 @@ class Servo(BlockMotion):
         time = check_number(at, "at")
         state = self._context.state()
         if self._schedule is None:
-            schedule = Schedule(
-                self._model, self._cycle, self._delay, self._context.section.lock, self._limited_arm()
-            )
+            schedule = Schedule(self._model, self._cycle, self._delay, self._context.section.lock, self._limited_arm())
             self._dialogue.resampled = ResampledSetpoints(self._servoing, schedule)
             # Set this attribute last. Otherwise an interruption could leave a schedule that is not connected to the
             # dialogue.
