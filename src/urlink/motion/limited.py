@@ -358,15 +358,17 @@ class LimitedArm:
             before, q: The last set-point and this one, (6,) rad.
             seconds: Time for the motion between both, in s.
         """
-        rows = np.array([before, q])
-        speeds = (rows[1] - rows[0]) / seconds
-        rest = rows[1] + speeds * float(np.abs(speeds).max()) / (2.0 * _STOPPING)
-        self.check(np.stack([rows[1], 0.5 * (rows[1] + rest), rest]))
+        speeds = [(b - a) / seconds for a, b in zip(before, q, strict=True)]
+        braking = max(map(abs, speeds)) / (2.0 * _STOPPING)
+        rest = [a + braking * v for a, v in zip(q, speeds, strict=True)]
+        # Single rows: a loop calls this method in each cycle, and they are faster than arrays.
+        places = np.array([self.arm.forward(each, self.tcp)[:3] for each in (before, q, rest)])
+        self.limits.check_places(places[1:])
         # Set-points are rounded to millionths.
-        exact = np.sign(speeds) * np.maximum(np.abs(speeds) - _ROUNDED / seconds, 0.0)
-        self.limits.check_joint_speeds(exact[np.newaxis])
-        if self.limits.tool_speed is not None:
-            self.limits.check_tool_speeds(self.tool_speeds(rows[1], exact).reshape(1))
+        exact = np.abs(speeds) - _ROUNDED / seconds
+        self.limits.check_joint_speeds(np.maximum(exact, 0.0)[np.newaxis])
+        way = float(np.linalg.norm(places[1] - places[0])) - _ROUNDED
+        self.limits.check_tool_speeds(np.array([way / seconds]))
 
     def can_coast(self, q: Sequence[float], qd: Sequence[float], seconds: float) -> bool:
         """Whether the tool stays in the box if the joints continue from `q` at `qd` for `seconds`."""

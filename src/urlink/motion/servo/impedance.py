@@ -64,6 +64,7 @@ class Impedance(BlockMotion):
         self._limited: LimitedArm | None = None
         if context.limits is not None:
             fastest = parameters.fastest()
+            self._fastest = float(fastest.max())
             if self.frame == "joints":
                 context.limits.check_joint_speeds(fastest[np.newaxis])
             else:
@@ -81,8 +82,12 @@ class Impedance(BlockMotion):
             return
         before = limited.q if self._messages.target is None else np.array(self._messages.target)
         way = np.array(target) - before
-        parts = np.linspace(0.0, 1.0, max(math.ceil(float(np.abs(way).sum()) / STEP), 1) + 1)
-        limited.check(before + parts[:, np.newaxis] * way)
+        # The program moves the target at up to 0.7 of the largest speed. The springs might move the arm at this speed.
+        length = float(np.abs(way).max())
+        if length > 0.0:
+            parts = np.linspace(0.0, 1.0, max(math.ceil(float(np.abs(way).sum()) / STEP), 1) + 1)[:, np.newaxis]
+            speeds = np.broadcast_to(self._fastest * way / length, (len(parts), 6))
+            limited.check(before + parts * way, speeds)
 
     @property
     def target(self) -> FloatArray | None:
