@@ -42,7 +42,7 @@ def interface_of(choices: Sequence[str]) -> Row:
 
 def _limits(text: str) -> SessionLimits:
     try:
-        return SessionLimits.teaching() if text == "teaching" else SessionLimits.load(text)
+        return SessionLimits.named(text)
     except LocalError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
 

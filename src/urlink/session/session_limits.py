@@ -123,6 +123,15 @@ class SessionLimits:
         return cls(tool_speed=0.25, joint_speed=1.05, box=corners, speed_slider=0.5, allowed=(*CHECKED, "freedrive"))
 
     @classmethod
+    def named(cls, text: str) -> SessionLimits:
+        """Return the limits for an option of a program: "teaching" for `teaching`, or the path of a file for `load`.
+
+        Raises:
+            BadValue: See `load`.
+        """
+        return cls.teaching() if text == "teaching" else cls.load(text)
+
+    @classmethod
     def load(cls, path: str | os.PathLike[str]) -> SessionLimits:
         """Read limits from a JSON file: an object with the attributes of this class, all of them optional.
 

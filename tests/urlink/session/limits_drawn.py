@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import itertools
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -303,7 +304,7 @@ def speed_linear(bench: Bench) -> Command:
 
 def _trajectory(bench: Bench, start: FloatArray) -> Trajectory:
     rows = [start, *(bench.goal(0.2) for _ in range(2))]
-    reach = [float(np.abs(b - a).max()) for a, b in zip(rows, rows[1:], strict=False)]
+    reach = [float(np.abs(b - a).max()) for a, b in itertools.pairwise(rows)]
     times = np.concatenate([[0.0], np.cumsum([max(each / bench.log(0.2, 0.6), 0.2) for each in reach])])
     return Trajectory.from_arrays(times, rows)
 
@@ -409,9 +410,11 @@ def force_mode(bench: Bench) -> Command:
     fastest = [speed if each else 0.1 for each in selection[:3]] + [0.3] * 3
 
     def command(on: Bench) -> None:
-        with on.motion.force_mode("base", selection, wrench, fastest) as pressing:
-            with contextlib.suppress(urlink.LinkTimeout):
-                pressing.wait(seconds)
+        with (
+            on.motion.force_mode("base", selection, wrench, fastest) as pressing,
+            contextlib.suppress(urlink.LinkTimeout),
+        ):
+            pressing.wait(seconds)
 
     return command
 
@@ -456,12 +459,12 @@ DRAWN: dict[str, Callable[[Bench], Command]] = {
 @contextlib.contextmanager
 def bench(arm: str, firmware: str, rng: np.random.Generator) -> Iterator[Bench]:
     """Yield a simulated arm with both connections."""
-    with Controller(model=arm, firmware=firmware, noise=False) as controller:
-        with (
-            urlink.connect(controller.address, limits=LIMITS) as limited,
-            urlink.connect(controller.address) as free,
-        ):
-            yield Bench(controller, limited, free, rng)
+    with (
+        Controller(model=arm, firmware=firmware, noise=False) as controller,
+        urlink.connect(controller.address, limits=LIMITS) as limited,
+        urlink.connect(controller.address) as free,
+    ):
+        yield Bench(controller, limited, free, rng)
 
 
 def measured(kind: str, seed: int, number: int, count: int) -> Tally:
