@@ -198,7 +198,7 @@ class SessionLimits:
         low, high = np.array(self.box)
         beyond = np.maximum(low + margin - places, places - high + margin)
         if not beyond.max() <= 0.0:
-            row, axis = np.unravel_index(int(np.nanargmax(beyond)), beyond.shape)
+            row, axis = np.unravel_index(int(beyond.argmax()), beyond.shape)
             part = "" if len(places) == 1 else f" at {row / (len(places) - 1):.0%} of its path"
             raise LimitExceeded(
                 "box",

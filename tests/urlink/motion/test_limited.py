@@ -24,7 +24,7 @@ TIMEOUT = 60.0
 #: Joint positions in rad: elbow up, tool down; the TCP is at about (-0.47, -0.13, 0.3) m.
 READY = np.array([0.0, -1.5, 2.0, -2.07, -1.57, 0.0])
 #: Box of the TCP in m, with READY inside.
-BOX = ((-0.6, -0.3, 0.2), (-0.3, 0.1, 0.4))
+BOX = ((-0.6, -0.3, 0.12), (-0.3, 0.1, 0.4))
 
 
 def at(*change: float) -> FloatArray:
@@ -69,15 +69,15 @@ BEYOND: dict[str, list[Callable[[Robot], object]]] = {
     "box": [
         lambda robot: robot.motion.move_joints(at(0, -0.4, 0, 0, 0, 0), speed=0.1),
         lambda robot: robot.motion.move_joints(at(1.2, 0, 0, 0, 0, 0), speed=0.1),
-        lambda robot: robot.motion.move_linear(pose(robot, z=0.15)),
-        lambda robot: robot.motion.move_circular(pose(robot, z=0.05, x=0.05), pose(robot, z=0.12)),
+        lambda robot: robot.motion.move_linear(pose(robot, z=0.3)),
+        lambda robot: robot.motion.move_circular(pose(robot, z=0.1, x=0.05), pose(robot, z=0.25)),
         # Both ends of this arc are in the box, and its middle is not.
-        lambda robot: robot.motion.move_circular(pose(robot, z=0.13, x=0.05), pose(robot, x=0.1), 0.1),
+        lambda robot: robot.motion.move_circular(pose(robot, z=0.19, x=0.05), pose(robot, x=0.1), 0.1),
         lambda robot: robot.motion.path([urlink.Linear(pose(robot, x=0.05)), urlink.Linear(pose(robot, y=0.3))]),
-        lambda robot: robot.motion.speed_linear([0, 0, 0.1, 0, 0, 0], duration=2.0),
+        lambda robot: robot.motion.speed_linear([0, 0, 0.1, 0, 0, 0], duration=3.0),
         lambda robot: robot.motion.speed_joints([0, -0.1, 0, 0, 0, 0], duration=4.0),
         # The tool would reach the face only while it brakes.
-        lambda robot: robot.motion.speed_linear([0, 0, 0.2, 0, 0, 0], 0.25, duration=0.5),
+        lambda robot: robot.motion.speed_linear([0, 0, 0.2, 0, 0, 0], 0.25, duration=0.9),
         lambda robot: robot.motion.until_contact([0, 0, -1], distance=0.2),
         lambda robot: robot.motion.follow(Trajectory.from_arrays([0, 4, 8], [READY, at(0, -0.5, 0, 0, 0, 0), READY])),
     ],
@@ -86,11 +86,11 @@ BEYOND: dict[str, list[Callable[[Robot], object]]] = {
         lambda robot: robot.motion.move_joints(at(0.3, 0, 0, 0, 0, 0), speed=0.9),
         lambda robot: robot.motion.move_joints(at(0.3, 0, 0, 0, 0, 0), time=0.5),
         lambda robot: robot.motion.speed_linear([0.2, 0.2, 0, 0, 0, 0], duration=0.2),
-        lambda robot: robot.motion.follow(Trajectory.from_arrays([0, 0.6], [READY, at(0.2, 0, 0, 0, 0, 0)])),
+        lambda robot: robot.motion.follow(Trajectory.from_arrays([0, 0.4], [READY, at(0.2, 0, 0, 0, 0, 0)])),
     ],
     "joint_speed": [
         lambda robot: robot.motion.move_joints(at(0, 0, 0, 0, 0, 1.0), speed=1.2),
-        lambda robot: robot.motion.speed_joints([0, 0, 0, 0, 0, 1.2], duration=0.5),
+        lambda robot: robot.motion.speed_joints([0, 0, 0, 0, 0, 1.2], 10.0, duration=0.5),
         lambda robot: robot.motion.servo(target_filter="jerk_limited", speed=1.5),
     ],
     "allowed": [
@@ -148,9 +148,11 @@ def test_moves_are_refused_while_the_arm_moves() -> None:
 
 def test_moves_are_refused_when_the_tool_is_outside() -> None:
     box = ((-0.6, -0.3, 0.35), (-0.3, 0.1, 0.6))
-    with urlink.connect("sim://ur5?firmware=3.15", limits=SessionLimits(box=box)) as robot:
-        with pytest.raises(LimitExceeded, match="before the motion"):
-            robot.motion.move_joints(at(0, 0, 0, 0, 0, 0.1))
+    with (
+        urlink.connect("sim://ur5?firmware=3.15", limits=SessionLimits(box=box)) as robot,
+        pytest.raises(LimitExceeded, match="before the motion"),
+    ):
+        robot.motion.move_joints(at(0, 0, 0, 0, 0, 0.1))
 
 
 def lift(robot: Robot, q: FloatArray) -> None:
@@ -215,9 +217,11 @@ def test_force_mode_ends_before_the_box_ends() -> None:
     with limited("sim://ur5e?firmware=5.11", allowed=KINDS) as robot:
         with pytest.raises(LimitExceeded, match="tool would move"):
             robot.motion.force_mode("base", [1, 1, 0, 0, 0, 0], [0.0] * 6, [0.2] * 6)
-        with robot.motion.force_mode("base", [0, 0, 1, 0, 0, 0], [0, 0, 30, 0, 0, 0], [0.1] * 6) as pressing:
-            with pytest.raises(LimitExceeded, match="box"):
-                pressing.wait(TIMEOUT)
+        with (
+            robot.motion.force_mode("base", [0, 0, 1, 0, 0, 0], [0, 0, 30, 0, 0, 0], [0.1] * 6) as pressing,
+            pytest.raises(LimitExceeded, match="box"),
+        ):
+            pressing.wait(TIMEOUT)
         robot.realtime.wait_until(lambda state: not state.qd_target.any(), TIMEOUT)
         assert 0.36 < robot.realtime.wait().tool_vector_actual[2] < BOX[1][2]
 
@@ -256,7 +260,7 @@ def test_connect_async_takes_limits() -> None:
         limits = SessionLimits(tool_speed=0.05)
         async with urlink.connect_async("sim://ur5?firmware=3.15", limits=limits) as robot:
             with pytest.raises(LimitExceeded):
-                await robot.motion.move_joints(READY, wait=True)
+                await robot.motion.move_joints(READY + 0.5, wait=True)
             with pytest.raises(LimitExceeded):
                 await robot.script.run("textmsg(1)", wait=True)
 

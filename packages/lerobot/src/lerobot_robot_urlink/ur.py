@@ -38,8 +38,8 @@ class URConfig(RobotConfig):
             close and open** unless it is active.
         observe_tool: Whether the pose of the tool is part of an observation.
         observe_force: Whether the force at the tool is part of an observation. ``lerobot-rollout`` ignores it.
-        limits: Limits of the session: the path of a JSON file, or ``teaching`` (`urlink.SessionLimits.named`); empty for
-            none. An action that would exceed a limit raises `urlink.LimitExceeded`.
+        limits: Limits of the session: the path of a JSON file, or ``teaching`` (`urlink.SessionLimits.named`); empty
+            for none. An action that would exceed a limit raises `urlink.LimitExceeded`.
         cameras: Configurations of the cameras, by name.
     """
 
