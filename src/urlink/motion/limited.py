@@ -204,10 +204,14 @@ class LimitedArm:
             seconds: Time until the arm brakes, in s.
             delays: Times in s for which the arm might first continue at its current speed.
         """
-        for delay in delays if np.abs(self.qd).max() > _RESTING else (0.0,):
+        moving = np.abs(self.qd).max() > _RESTING
+        for delay in delays if moving else (0.0,):
             speeds = [self.qd, self.qd]
             times = [0.0, delay]
             rise = float(np.abs(qd - self.qd).max()) / acceleration
+            if moving:
+                # The arm might still accelerate by an earlier command, so the end of this change of speed is unknown.
+                seconds = max(seconds, rise)
             reached = qd if rise <= seconds else self.qd + (qd - self.qd) * seconds / rise
             speeds += [reached, reached, np.zeros(6)]
             held = max(seconds - rise, 0.0)
@@ -266,6 +270,11 @@ class LimitedArm:
         line, turn = (
             max(float(np.linalg.norm(each[part])) for each in (xd, velocity)) for part in (slice(0, 3), slice(3, 6))
         )
+        if np.abs(self.qd).max() > _RESTING:
+            change = xd - velocity
+            rise = max(float(np.linalg.norm(change[:3])), float(np.linalg.norm(change[3:]))) / acceleration
+            # The arm might still accelerate by an earlier command, so the end of this change of speed is unknown.
+            seconds = max(seconds, rise)
         total = delay + seconds + max(line, turn) / braking
         if line * total > _FURTHEST or turn * total > _MOST_TURN:
             raise LimitExceeded(
