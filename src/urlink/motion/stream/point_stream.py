@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
-from functools import partial
+from functools import cache, partial
 from typing import TypeVar
 
 from linkcore import clock
@@ -17,7 +17,6 @@ from ...arm.vectors import FloatArray
 from ...protocol.firmware import Firmware
 from ...script.buffering import buffering
 from ..context import MotionContext
-from ..limited import LimitedArm
 from ..moves.path import shown_tcp
 from ..servo.block_motion import BlockMotion
 from ..servo.jerk_limited import JointLimit
@@ -79,8 +78,7 @@ class PointStream(BlockMotion):
         self.buffer = buffer
         cycle = 1.0 / firmware.rate
         shortest = 2.0 * cycle  # the program reads a message per cycle, and must read points faster than the arm moves
-        self._limited: LimitedArm | None = None
-        bounds = Bounds(identity.arm, servoing.speeds, limits, self._limited_arm)
+        bounds = Bounds(identity.arm, servoing.speeds, limits, cache(context.limited))
         self._reader = PointReader(bounds, shortest, partial(_inverse, context))
         capacity = min(round(buffer / shortest) + 4, _MOST)
         write = partial(
@@ -108,12 +106,6 @@ class PointStream(BlockMotion):
         self._feed.pace = pace
         pace.is_paused = partial(getattr, self._program, "is_paused")
         self._life.on_end(pace.leave)
-
-    def _limited_arm(self) -> LimitedArm | None:
-        """Return the arm with the limits of the session and the TCP at the first points; None without limits."""
-        if self._limited is None:
-            self._limited = self._context.limited()
-        return self._limited
 
     # -- points ----------------------------------------------------------------------------------------
 

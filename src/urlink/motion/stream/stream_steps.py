@@ -255,10 +255,10 @@ class Bounds:
             self._check_limits(limited, steps, names)
 
     def _check_limits(self, limited: LimitedArm, steps: Sequence[Step], names: Sequence[str]) -> None:
-        """Compare steps, and braking after each of them, with the limits of the session."""
+        """Compare steps, and braking after the last one, with the limits of the session."""
         for step, name in zip(steps, names, strict=True):
             braking = Step.braking(step.end, self.limits)
-            for each in (step, braking) if braking.length > 0.0 else (step,):
+            for each in (step, braking) if step is steps[-1] and braking.length > 0.0 else (step,):
                 try:
                     limited.check_curve(each.sampled, np.array([0.0, each.length]))
                 except LimitExceeded as error:
