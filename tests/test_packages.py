@@ -29,6 +29,7 @@ MIDDLEWARES = {
     "mujoco",
     "draccus",
     "prometheus_client",
+    "asyncssh",
     "torch",
     "fastapi",
     "uvicorn",

@@ -101,7 +101,7 @@ class Abandonable(Protocol):
 
 #: `id` -> object to abandon. A dictionary is used because a WeakSet cannot be copied while another thread changes it.
 _open: weakref.WeakValueDictionary[int, Abandonable] = weakref.WeakValueDictionary()
-#: What is watched already, each with a mark of the call that has begun to watch it.
+#: Name of each ending that is watched -> mark of the call that began to watch it.
 _watched: dict[str, object] = {}
 
 

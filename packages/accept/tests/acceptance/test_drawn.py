@@ -11,6 +11,7 @@ import urlink
 from packages.accept.tests.acceptance.drawn import (
     FIRMWARES,
     SEED,
+    Drawn,
     all_defects,
     drawn,
     is_found,
@@ -34,6 +35,22 @@ _FEW = 6
 
 def test_at_least_200_different_defects_can_be_drawn() -> None:
     assert len(set(all_defects())) == len(all_defects()) >= 200
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize(
+    ("firmware", "defect"),
+    [
+        ("5.11", Drawn("tool_accelerometer", "frozen", "realtime and rtde")),
+        ("3.15", Drawn("tcp_force", "in another order", "realtime and rtde")),
+    ],
+    ids=str,
+)
+def test_defect_on_both_interfaces_is_named(tmp_path: Path, firmware: str, defect: Drawn) -> None:
+    base = sound(firmware, tmp_path / "sound.urlog")
+    assert [each.seen for each in judge(base, requirements()) if each.state == "not held"] == []
+    assert is_named(verdicts_with(base, defect), defect)
 
 
 @pytest.mark.slow

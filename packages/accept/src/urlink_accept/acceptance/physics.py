@@ -262,7 +262,8 @@ def _currents(evidence: Evidence) -> Measured:
 
 #: Measured quantities that have noise on every arm, and quantities that are suspicious if all six joints have the same
 #: value.
-_NOISY, _UNEQUAL = ("q_actual", "I_actual"), ("q_actual", "I_actual", "motor_temperatures", "V_actual")
+_NOISY = ("q_actual", "I_actual", "tool_accelerometer")
+_UNEQUAL = ("q_actual", "I_actual", "motor_temperatures", "V_actual")
 #: Duration in s after which a constant measurement is suspicious.
 _CONSTANT = 1.5
 

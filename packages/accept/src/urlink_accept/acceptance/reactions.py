@@ -100,10 +100,17 @@ def _weight(evidence: Evidence) -> Measured:
         after = packets.between(0.5 * (at["hangs"] + at["hung"]), at["hung"]).column(read)
         if before is None or after is None:
             continue
-        change = after.mean(axis=0)[:3] - before.mean(axis=0)[:3]
+        wrench = after.mean(axis=0) - before.mean(axis=0)
+        change = wrench[:3]
         worst = max(worst, float(np.linalg.norm(change - wanted)) / (GRAVITY * WEIGHT))
-        frozen = "it is frozen" if not np.ptp(after, axis=0).any() else how_different(wanted, change)
-        how = f": {frozen}" if np.linalg.norm(change - wanted) > 0.5 * GRAVITY * WEIGHT else ""
+        how = ""
+        if np.linalg.norm(change - wanted) > 0.5 * GRAVITY * WEIGHT:
+            moved = np.flatnonzero(np.abs(wrench - wanted[2]) < 0.2 * GRAVITY * WEIGHT)
+            how = f": {how_different(wanted, change)}"
+            if not np.ptp(after, axis=0).any():
+                how = ": it is frozen"
+            elif moved.size:
+                how = f": its components are in another order: component {moved[0] + 1} has the weight instead of 3"
         seen.append(f"{name} tcp_force changed by {np.round(change, 1).tolist()} N{how}")
     if not seen:
         raise NotTried("this firmware does not report a force")
