@@ -356,7 +356,8 @@ class LimitedArm:
             distance: Longest distance, in m.
         """
         # The program moves for this time if nothing is touched (`urlink.script.force_control.until_contact`).
-        seconds = distance / speed + speed / acceleration + LATE * self.cycle
+        # In the simulator, it ends up to eight cycles later than this.
+        seconds = distance / speed + speed / acceleration + 3 * LATE * self.cycle
         xd = np.concatenate([speed * direction, np.zeros(3)])
         self.check_tool_speed(xd, acceleration, seconds, delays=(0.0,))
 
