@@ -210,8 +210,8 @@ class LimitedArm:
             times = [0.0, delay]
             rise = float(np.abs(qd - self.qd).max()) / acceleration
             if moving:
-                # The arm might still accelerate by an earlier command, so the end of this change of speed is unknown.
-                seconds = max(seconds, rise)
+                # The arm might still accelerate by an earlier command until the new one takes over.
+                seconds = max(seconds, min(rise, seconds + max(delays)))
             reached = qd if rise <= seconds else self.qd + (qd - self.qd) * seconds / rise
             speeds += [reached, reached, np.zeros(6)]
             held = max(seconds - rise, 0.0)
@@ -273,8 +273,8 @@ class LimitedArm:
         if np.abs(self.qd).max() > _RESTING:
             change = xd - velocity
             rise = max(float(np.linalg.norm(change[:3])), float(np.linalg.norm(change[3:]))) / acceleration
-            # The arm might still accelerate by an earlier command, so the end of this change of speed is unknown.
-            seconds = max(seconds, rise)
+            # The arm might still accelerate by an earlier command until the new one takes over.
+            seconds = max(seconds, min(rise, seconds + DELAYS[-1]))
         total = delay + seconds + max(line, turn) / braking
         if line * total > _FURTHEST or turn * total > _MOST_TURN:
             raise LimitExceeded(

@@ -265,3 +265,12 @@ def test_connect_async_takes_limits() -> None:
                 await robot.script.run("textmsg(1)", wait=True)
 
     asyncio.run(main())
+
+
+def test_compat_refuses_motions_and_scripts_of_other_clients() -> None:
+    compat = pytest.importorskip("urlink_compat.rtde_control", reason="the package urlink-compat is not installed")
+    with compat.RTDEControlInterface("sim://ur5?firmware=3.15", limits=SessionLimits(tool_speed=0.05)) as control:
+        with pytest.raises(LimitExceeded):
+            control.moveJ(READY + 0.5)
+        with pytest.raises(LimitExceeded):
+            control.sendCustomScript("textmsg(1)")
