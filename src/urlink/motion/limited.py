@@ -100,6 +100,8 @@ class LimitedArm:
         self.tcp = tcp_of(self.arm, state)
         self.q: FloatArray = np.array(state.q_target)
         self.qd: FloatArray = np.array(state.qd_target)
+        #: whether the arm moves, or an earlier command might still move it; set by the caller for such a command
+        self.is_moving = bool(np.abs(self.qd).max() > _RESTING)
 
     # -- comparisons -----------------------------------------------------------------------------------
 
@@ -130,7 +132,7 @@ class LimitedArm:
 
     def check_start(self) -> None:
         """Raise `LimitExceeded` unless the arm is at rest, with its tool in the box."""
-        if np.abs(self.qd).max() > _RESTING:
+        if self.is_moving:
             raise LimitExceeded(
                 "start", "the arm is moving, so the path from its position cannot be predicted", "an arm at rest"
             )
@@ -204,12 +206,11 @@ class LimitedArm:
             seconds: Time until the arm brakes, in s.
             delays: Times in s for which the arm might first continue at its current speed.
         """
-        moving = np.abs(self.qd).max() > _RESTING
-        for delay in delays if moving else (0.0,):
+        for delay in delays if self.is_moving else (0.0,):
             speeds = [self.qd, self.qd]
             times = [0.0, delay]
             rise = float(np.abs(qd - self.qd).max()) / acceleration
-            if moving:
+            if self.is_moving:
                 # The arm might still accelerate by an earlier command until the new one takes over.
                 seconds = max(seconds, min(rise, seconds + max(delays)))
             reached = qd if rise <= seconds else self.qd + (qd - self.qd) * seconds / rise
@@ -245,8 +246,7 @@ class LimitedArm:
             is_of_tool: Whether the speed is along and about the axes of the tool, rather than those of the base.
             braking: Deceleration in m/s² and rad/s²; None for `acceleration`.
         """
-        moving = np.abs(self.qd).max() > _RESTING
-        for delay in delays if moving else (0.0,):
+        for delay in delays if self.is_moving else (0.0,):
             poses, dt = self._tool_poses(xd, acceleration, seconds, delay, is_of_tool, braking or acceleration)
             if self.limits.box is not None:
                 self.limits.check_places(poses[:, :3])
@@ -270,7 +270,7 @@ class LimitedArm:
         line, turn = (
             max(float(np.linalg.norm(each[part])) for each in (xd, velocity)) for part in (slice(0, 3), slice(3, 6))
         )
-        if np.abs(self.qd).max() > _RESTING:
+        if self.is_moving:
             change = xd - velocity
             rise = max(float(np.linalg.norm(change[:3])), float(np.linalg.norm(change[3:]))) / acceleration
             # The arm might still accelerate by an earlier command until the new one takes over.

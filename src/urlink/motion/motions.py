@@ -926,6 +926,7 @@ class Motions(StrictAttributes):
         self._context.limits.allow(name)
         limited = self._context.limited()
         assert limited is not None
+        limited.is_moving = limited.is_moving or self.current is not None
         limited.check_inside()
         seconds = duration + LATE * limited.cycle
         if name == "speed_linear":
