@@ -99,6 +99,7 @@ if TYPE_CHECKING:
     from .packets import RealtimeState as RealtimeState, RobotModeData as RobotModeData
     from .robot import Robot as Robot, connect as connect
     from .session.session_limits import SessionLimits as SessionLimits
+    from .stop_explanation import StopCause as StopCause, StopCurves as StopCurves, StopExplanation as StopExplanation
 
 else:
     __getattr__, __dir__, __all__ = lazy_names(
@@ -149,6 +150,7 @@ else:
             ".packets": "RealtimeState RobotModeData",
             ".robot": "Robot connect",
             ".session.session_limits": "SessionLimits",
+            ".stop_explanation": "StopCause StopCurves StopExplanation",
         },
         modules="arm.dynamics arm.kinematics arm.models motion packets arm.poses rtde arm.urdf",
         foreign=".foreign_names",

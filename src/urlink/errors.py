@@ -22,7 +22,13 @@ The errors belong to two branches of `linkcore.errors`::
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
 from linkcore.errors import LocalError, RemoteError
+
+if TYPE_CHECKING:
+    from .stop_explanation import StopExplanation
 
 
 class NotOffered(LocalError, NotImplementedError):
@@ -57,9 +63,27 @@ class SafetyStop(RemoteError):
         cause: Name of the stop, such as "protective stop".
     """
 
-    def __init__(self, text: str, cause: str) -> None:
+    def __init__(self, text: str, cause: str, explain: Callable[[], StopExplanation] | None = None) -> None:
         super().__init__(text, cause)
         self.cause = cause
+        self._explain = explain
+
+    @property
+    def explanation(self) -> StopExplanation | None:
+        """Why the robot stopped, from the data of the last seconds; None if this error contains no data.
+
+        The controller reports its code up to a second after the stop. Until then, the explanation can change. To wait
+        for the code, use `robot.safety.explain()`. The explanation is lost when the error is pickled.
+        """
+        return None if self._explain is None else self._explain()
+
+    def __copy__(self) -> SafetyStop:
+        copied = type(self)(*self.args)
+        copied.__dict__.update(self.__dict__)
+        return copied
+
+    def __reduce__(self) -> tuple[type[SafetyStop], tuple[object, ...]]:
+        return type(self), self.args
 
     def __str__(self) -> str:
         return str(self.args[0])

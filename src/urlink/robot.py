@@ -185,7 +185,7 @@ def assemble(
         from .motion.control import Control
 
         peers = peers_of(place) if controller is None else ()
-        return Control(options, place, peers, robot.primary, robot.realtime, robot._who, _rtde_of(robot))
+        return Control(options, place, peers, robot.primary, robot.realtime, robot._who, _rtde_of(robot), source.sent)
 
     if options.read_only:
         refusal = f"{address} was connected with read_only=True, so it cannot be commanded"

@@ -77,6 +77,9 @@ NAMES = [
     "SessionLimits",
     "Simulation",
     "StatementDiscarded",
+    "StopCause",
+    "StopCurves",
+    "StopExplanation",
     "Stream",
     "Subscription",
     "Table",
@@ -169,7 +172,7 @@ SURFACES = {
         set_analog_out set_configurable_digital_out set_digital_out set_flag set_tool_communication
         set_tool_digital_out set_tool_voltage tool_analog_in tool_digital_in tool_digital_out tool_voltage
         wait_configurable_digital_in wait_digital_in wait_tool_digital_in""",
-    "robot.safety": """cause enable is_enabled mode on_stop policy refusal robot_mode wait_enabled wait_for_stop
+    "robot.safety": """cause enable explain is_enabled mode on_stop policy refusal robot_mode wait_enabled wait_for_stop
         wait_until_clear""",
     "robot.dashboard": """add_to_log brake_release clear_operational_mode close close_popup close_safety_popup
         download_program generate_flight_report generate_support_file is_in_remote_control is_program_saved load
@@ -191,8 +194,8 @@ SURFACES = {
     "robot.controller.gripper": """exchange fault holds_object is_active is_connected place position registers reply
         take_away""",
     "robot.controller.tool_serial": "device exchange greeting is_offered next_cycle packets receiver skip",
-    "robot.controller.faults": """append clear cut emergency_stop garbage heal merge power_off power_on protective_stop
-        reboot rtde_data_before_start rtde_hello rtde_late_data rtde_no_data rtde_reboot_at_request
+    "robot.controller.faults": """append clear cut drag emergency_stop garbage heal merge power_off power_on
+        protective_stop reboot rtde_data_before_start rtde_hello rtde_late_data rtde_no_data rtde_reboot_at_request
         rtde_refuse_protocol_2 rtde_refuse_start rtde_stale_inputs rtde_text rtde_text_before_reply
         rtde_text_instead_of_reply safeguard_stop split stall unknown_package unknown_sub_package""",
 }
@@ -285,6 +288,7 @@ DEFAULTS = {
     "robot.io.wait_digital_in": "on=True, timeout=5.0",
     "robot.io.wait_tool_digital_in": "on=True, timeout=5.0",
     "robot.script.run": "wait=False, detached=False, on_text=None",
+    "robot.safety.explain": "timeout=1.0",
     "robot.safety.wait_enabled": "timeout=60.0",
     "robot.safety.wait_until_clear": "timeout=60.0",
 }

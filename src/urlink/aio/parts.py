@@ -137,6 +137,7 @@ class AsyncSafety(AwaitedPart[Safety]):
     __slots__ = ()
 
     enable = awaited(Safety.enable)
+    explain = awaited(Safety.explain)
     on_stop = awaited(Safety.on_stop)
     wait_enabled = awaited(Safety.wait_enabled)
     wait_for_stop = awaited(Safety.wait_for_stop)

@@ -249,6 +249,8 @@ class Programs:
                 raise_if(self._monitor.overtaken(life.order))
             run.sent = self._clock()
             self._runs[run.name] = run
+            if self._monitor.flight is not None:
+                self._monitor.flight.own(run.name)
             newest = self._newest()
             if newest is not run and newest is not None and not wrapped.is_secondary:
                 # A signal handler sent that program between these lines. It is the newer one, although sent first.

@@ -103,6 +103,7 @@ class Dashboard(StrictAttributes, Closing):
             used in messages.
         allow: Function that is called before each command that might start a program. Its argument is the name of the
             method, such as "dashboard.play". If the function raises, nothing is sent.
+        on_send: Function that is called with each command that was sent; None for none.
 
     Raises:
         BadValue: If the timeout is not positive.
@@ -119,9 +120,11 @@ class Dashboard(StrictAttributes, Closing):
         undos: PendingUndos | None = None,
         on_stop: Callable[[str], object] = lambda why: None,
         allow: Callable[[str], object] = lambda kind: None,
+        on_send: Callable[[bytes | memoryview], object] | None = None,
     ) -> None:
         self._allow = allow
         self._on_stop = on_stop
+        self._on_send = on_send
         self._timeout = _positive(timeout)
         self._host = host
         self._firmware = firmware
@@ -134,10 +137,12 @@ class Dashboard(StrictAttributes, Closing):
         self._http = HttpClient(host, api_port or 0, refused=refused)
         self._api = RobotApi(self._http, timeout)
         self._transport = TcpTransport(host, port or 0, silence=timeout, refused=refused)
+        self._transport.sent = on_send
         self._name = f"the dashboard server at {self._transport.name}"
         self._dialogue = Dialogue(self._transport, DashboardProtocol, self._name, timeout)
         # Second connection for commands that must not wait for the reply to another command; connects when needed.
         stopping = TcpTransport(host, port or 0, silence=timeout, refused=refused)
+        stopping.sent = on_send
         self._stopping = Dialogue(stopping, DashboardProtocol, self._name, timeout)
         self._shares_undos = undos is None
         service = service_of(host, (api_port or 0) if port is None else port)
@@ -454,6 +459,8 @@ class Dashboard(StrictAttributes, Closing):
         command, firmware = COMMANDS[name], self._present()
         if firmware.is_polyscope_x:
             self._check_served(self._api_port, "Robot API")
+            if self._on_send is not None:
+                self._on_send(name.encode())
             with self._command(name, command.only_asks) as given_up:
                 return self._api.do(name, argument, firmware, given_up)
         self._check_served(self._port, "dashboard server")
