@@ -145,8 +145,9 @@ HANDLE = "add_done_callback cancel done error name phase wait"
 #: Attributes and methods of the objects that users hold, as tab completion shows them.
 SURFACES = {
     "robot": """address clock close controller dashboard firmware freedrive gripper identity interpreter io kinematics
-        model motion points popup primary realtime record registers rtde safety script secondary set_gravity set_payload
-        set_speed_slider set_tcp teach tool_serial view zero_force_sensor""",
+        measure_payload measure_payload_by_hand model motion points popup primary realtime record registers rtde safety
+        script secondary set_gravity set_payload set_speed_slider set_tcp teach tool_serial view wrench
+        zero_force_sensor""",
     "robot.tool_serial": "ask close discard read write",
     "robot.gripper": """activate close deactivate get move object_detected open position position_of set status stop
         wait""",
@@ -204,8 +205,9 @@ SURFACES = {
 #: Attributes and methods of an asyncio robot and its parts.
 ASYNC_SURFACES = {
     "robot": """address call clock close controller dashboard firmware freedrive gripper identify identity interpreter
-        io kinematics model motion points popup primary realtime record registers rtde safety script secondary
-        set_gravity set_payload set_speed_slider set_tcp teach tool_serial view zero_force_sensor""",
+        io kinematics measure_payload measure_payload_by_hand model motion points popup primary realtime record
+        registers rtde safety script secondary set_gravity set_payload set_speed_slider set_tcp teach tool_serial view
+        wrench zero_force_sensor""",
     "robot.realtime": """close connection description failure history iterate join latest name of plot start
         stats stream subscribe wait wait_until""",
     "robot.realtime.of(urlink.packets.RealtimeState)": "history iterate latest plot subscribe wait wait_until",
@@ -239,6 +241,14 @@ DEFAULTS = {
     "robot.close": "timeout=2.0",
     "robot.freedrive": "axes=None, frame='base', watchdog=0.5, link='reverse'",
     "robot.interpreter": "start_timeout=10.0, finish_timeout=60.0, on_text=None",
+    "robot.measure_payload": (
+        "may_move=False, box=None, postures=8, speed=0.3, acceleration=0.5, rest=1.0, set_payload=None, "
+        "gravity=(0.0, 0.0, 9.82), timeout=300.0, on_posture=None"
+    ),
+    "robot.measure_payload_by_hand": (
+        "postures=8, rest=1.0, posture_timeout=60.0, set_payload=None, gravity=(0.0, 0.0, 9.82), timeout=600.0, "
+        "on_posture=None, watchdog=0.5, link='reverse'"
+    ),
     "robot.popup": "title='Popup', warning=False, error=False",
     "robot.record": "interfaces=('realtime', 'primary')",
     "robot.set_payload": "cog=None, inertia=None, transition_time=0.0, confirm=1.0",
@@ -248,6 +258,7 @@ DEFAULTS = {
         "digital_input=None, bank='standard', button=False, on_point=None, axes=None, frame='base', watchdog=0.5, "
         "link='reverse'"
     ),
+    "robot.wrench": "frame='tcp'",
     "robot.view": "plots=('qd_actual', 'tcp_force'), urdf=None, jog=False, port=0",
     "robot.motion.follow": (
         "low_bandwidth=False, path_tolerance=None, goal_tolerance=0.01, goal_time=1.0, start_tolerance=0.05, "
