@@ -4,6 +4,7 @@ The errors belong to two branches of `linkcore.errors`::
 
     LinkError
     ├── LocalError                  an error in your program
+    │   ├── LimitExceeded           a command would exceed a limit of the session; nothing was sent
     │   └── NotOffered              a call of another client library that `urlink.compat` lacks
     └── RemoteError                 the peer sent invalid data, disconnected, or refused
         ├── SafetyStop              a stop is active, or occurred during the motion; `cause` names it
@@ -32,6 +33,27 @@ if TYPE_CHECKING:
 
 class NotOffered(LocalError, NotImplementedError):
     """Error: `urlink.compat` lacks a call of another client library. The message names the replacement."""
+
+
+class LimitExceeded(LocalError):
+    """A command would exceed a limit of the session (`connect(limits=)`). Nothing was sent.
+
+    If a watched motion comes too close to a limit while it runs, this error ends the motion, and the arm brakes.
+
+    Attributes:
+        limit: Name of the limit: "tool_speed", "joint_speed", "box", "speed_slider", "allowed", or "start".
+        value: Description of the command, with the value that would exceed the limit.
+        expected: Description of the expected values.
+    """
+
+    def __init__(self, limit: str, value: str, expected: str) -> None:
+        super().__init__(limit, value, expected)
+        self.limit = limit
+        self.value = value
+        self.expected = expected
+
+    def __str__(self) -> str:
+        return f"{self.value}; expected {self.expected} (limit {self.limit!r} of this session)"
 
 
 class SafetyStop(RemoteError):

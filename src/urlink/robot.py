@@ -27,6 +27,7 @@ from .session.address import RecordingAddress, RobotAddress, SimulatorAddress, p
 from .session.connect_options import ConnectOptions, takes_connect_options
 from .session.identity import Identity, KnownIdentity
 from .session.robot_clock import RobotClock
+from .session.session_limits import SessionLimits
 from .session.source import Source, networked, recorded
 
 if TYPE_CHECKING:
@@ -112,6 +113,9 @@ def connect(options: ConnectOptions) -> Robot:
         isolate: Whether to read the real-time interface in a dedicated process. The newest state is then available at
             any time, even if your program holds the lock of the Python interpreter (GIL) for a long time. Not supported
             on Windows.
+        limits: Limits for all commands of this connection, a `SessionLimits`: speeds, a box for the tool, the speed
+            slider, and the allowed kinds of motion. A command that would exceed a limit raises `LimitExceeded`. The
+            limits are not a safety function.
         points: Path of the JSON file for `robot.points`. The first taught point creates the file. If None,
             `robot.points` raises `LocalError`.
 
@@ -190,7 +194,9 @@ def assemble(
     if options.read_only:
         refusal = f"{address} was connected with read_only=True, so it cannot be commanded"
         return Robot(address, source, controller, refusal=refusal, known=known, points=options.points)
-    return Robot(address, source, controller, known=known, control=control, points=options.points)
+    return Robot(
+        address, source, controller, known=known, control=control, limits=options.limits, points=options.points
+    )
 
 
 def peers_of(place: RobotAddress) -> tuple[Hashable, ...]:
@@ -228,8 +234,10 @@ class Robot(StrictAttributes, Closing):
         refusal: str = "",
         known: Identity | None = None,
         control: Callable[[Robot], Control] | None = None,
+        limits: SessionLimits | None = None,
         points: str | os.PathLike[str] | None = None,
     ) -> None:
+        self._limits = limits
         self.address = address
         self._controller = controller
         self._make_control = control
@@ -276,7 +284,9 @@ class Robot(StrictAttributes, Closing):
             from .rtde import Rtde
 
             who = self._who  # a reference to `self` would be a cycle, because `self` holds the new object
-            made = Rtde(self.address, self._source, lambda: who.identity.firmware, refusal=self._refusal)
+            made = Rtde(
+                self.address, self._source, lambda: who.identity.firmware, refusal=self._refusal, limits=self._limits
+            )
             rtde = self._rtde.keep(made)
             if self._is_closed:
                 rtde.close(0.0)

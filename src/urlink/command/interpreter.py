@@ -315,13 +315,14 @@ class Interpreters:
             raise LocalError(f"firmware {firmware} has no interpreter mode; 5.10 or later is required")
         if self._port is None:
             raise LocalError("the controller does not serve interpreter mode")
+        self._programs.allow("interpreter.execute")
         connection = partial(_connection, self._host, self._port, self._firmware, self._timeout, self._sent)
         dialogue = connection()
         with self._opening:
             if self._is_closed:
                 raise Closed(f"the robot at {self._host} was closed")
             self._open = [each for each in self._open if not each.is_closed] + [dialogue]
-        life = self._programs.life("interpreter mode")
+        life = self._programs.life("interpreter mode", "interpreter.execute")
         undo = Undo(connection, partial(_undo_statements, life))
         interpreter = Interpreter(life, dialogue, self._channel, self._undos, undo, finish_timeout)
         receive = interpreter._receiver(self._callbacks, on_text)

@@ -102,6 +102,7 @@ class Control:
 
         self._undos = undos = PendingUndos.of(peers[0], host, self, *peers[1:]) if peers else PendingUndos(host)
         channel = CommandChannel(slow, monitor, section, undos=undos)
+        limits = options.limits
         start_place = StartPlace(options.start_register, tuple(options.start_flags))
         self._programs = programs = Programs(
             slow,
@@ -112,6 +113,7 @@ class Control:
             start_timeout=options.start_timeout,
             start_place=start_place,
             who=who,
+            limits=limits,
         )
 
         def dashboard(timeout: float) -> Dashboard:
@@ -125,6 +127,7 @@ class Control:
                 timeout=timeout,
                 undos=undos,
                 on_stop=on_stop,
+                allow=programs.allow,
                 on_send=keeper("dashboard"),
             )
 
@@ -141,8 +144,12 @@ class Control:
         self.safety = Safety(monitor)
         self.script = Scripts(programs, channel, callbacks)
         inputs = (lambda: rtde()._brief_claims()) if options.commands_via == "auto" else None
+
+        def is_moving() -> bool:
+            return programs.current is not None
+
         setting_channel = SettingChannel(channel, slow, section, inputs)
-        self.settings = Settings(setting_channel, slow, fast, who, section, is_remote, start_place)
+        self.settings = Settings(setting_channel, slow, fast, who, section, is_remote, start_place, limits, is_moving)
         self.interpreters = Interpreters(
             host,
             ports.get("interpreter"),
@@ -161,7 +168,8 @@ class Control:
         registers = RegisterPort(lambda names: rtde().inputs(*names), timeout, SETPOINT_INPUTS, RegisterLink)
         links = PointLinks(lambda *names: rtde().outputs(*names))
         points = RegisterPort(lambda names: rtde().inputs(*names), timeout, POINT_INPUTS, links)
-        self.motion = Motions(MotionContext(programs, channel, realtime, who, reverse, registers, points, section))
+        context = MotionContext(programs, channel, realtime, who, reverse, registers, points, section, limits=limits)
+        self.motion = Motions(context)
 
     @property
     def dashboard(self) -> Dashboard:

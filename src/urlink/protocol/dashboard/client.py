@@ -101,6 +101,8 @@ class Dashboard(StrictAttributes, Closing):
             share for the controller.
         on_stop: Function that is called before each command that stops or pauses the arm. Its argument is the reason,
             used in messages.
+        allow: Function that is called before each command that might start a program. Its argument is the name of the
+            method, such as "dashboard.play". If the function raises, nothing is sent.
         on_send: Function that is called with each command that was sent; None for none.
 
     Raises:
@@ -117,8 +119,10 @@ class Dashboard(StrictAttributes, Closing):
         timeout: float = 5.0,
         undos: PendingUndos | None = None,
         on_stop: Callable[[str], object] = lambda why: None,
+        allow: Callable[[str], object] = lambda kind: None,
         on_send: Callable[[bytes | memoryview], object] | None = None,
     ) -> None:
+        self._allow = allow
         self._on_stop = on_stop
         self._on_send = on_send
         self._timeout = _positive(timeout)
@@ -224,6 +228,7 @@ class Dashboard(StrictAttributes, Closing):
 
         If no reply arrives, the controller might still execute the command; see `Dashboard`.
         """
+        self._allow("dashboard.play")
         self._do("play")
 
     def pause(self) -> None:
@@ -398,6 +403,7 @@ class Dashboard(StrictAttributes, Closing):
             raise LocalError(f"firmware {firmware} is PolyScope X, which has no dashboard server for send()")
         self._check_served(self._port, "dashboard server")
         encode_line(command)
+        self._check_allowed(command.strip().casefold())
         within = self._timeout if timeout is None else _positive(timeout)
 
         def stays(reply: str) -> bool:
@@ -405,6 +411,12 @@ class Dashboard(StrictAttributes, Closing):
 
         with self._command(command.strip().casefold()) as given_up:
             return self._dialogue.ask(command, within, stays, given_up=given_up)
+
+    def _check_allowed(self, command: str) -> None:
+        """Ask whether a line may be sent. A known query and a stop need no permission."""
+        known = COMMANDS.get(command)
+        if command not in _STOPS and not (known is not None and known.only_asks):
+            self._allow("dashboard.play" if command == "play" else "dashboard.send")
 
     def quit(self) -> None:
         """Send the command to quit, and disconnect. The next command connects again."""
