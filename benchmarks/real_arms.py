@@ -413,7 +413,7 @@ def _noises(arm: str, size: str | None, noise: Array, how: str, log: str) -> Ite
     """Return the noise of force and torque for an arm, and for other arms whose base joint has the same size."""
     for name, part in (("force_noise", noise[:3]), ("torque_noise", noise[3:])):
         one = _one(name, arm, part, how, log)
-        yield one._replace(values=tuple(part.tolist()))
+        yield one._replace(values=tuple(part.tolist()), interval=None)
         if size is not None:
             yield one._replace(of=size)
 
