@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 
 from linkcore import clock
@@ -18,6 +18,8 @@ from .protocol import GripperProtocol, get_line, set_line, value_of
 
 #: Interval for polling a moving gripper, in seconds.
 POLL = 0.02
+#: Variables that reset a gripper.
+RESET: Mapping[str, int] = {"ACT": 0, "ATR": 0}
 
 #: Codes of `FLT` (from memory of the maker's manual, not verified).
 FAULTS = {
@@ -85,11 +87,11 @@ class RobotiqGripper(StrictAttributes):
         name = f"the gripper at {self._name}"
         self._undos = PendingUndos.of(service_of(host, port), name, self) if undos is None else undos
 
-    def _activate(self, again: bool, timeout: float) -> None:
+    def _activate(self, again: bool, timeout: float, reset: Mapping[str, int] = RESET) -> None:
         until = clock.now() + check_seconds(timeout, "timeout", positive=True, finite=True)
         if self._get("STA") == 3 and not self._get("FLT") and not again:
             return
-        self._set(set_line({"ACT": 0, "ATR": 0}), moves=False)
+        self._set(set_line(reset), moves=False)
         self._await(lambda: (self._get("ACT"), self._get("STA")) == (0, 0), until, timeout, "it was not reset")
         self._set(set_line({"ACT": 1}), moves=False)
         self._await(lambda: self._get("STA") == 3, until, timeout, "it was not activated")

@@ -21,7 +21,7 @@ from linkcore.errors import BadValue, LinkTimeout
 from linkcore.wire.fields import OpenInt
 
 from .protocol import WRITABLE, set_line
-from .robotiq import FAULTS, POLL, GripperFault, RobotiqGripper
+from .robotiq import FAULTS, POLL, RESET, GripperFault, RobotiqGripper
 
 #: Variables of a vacuum gripper that can be set: name -> maximum value. `MOD` is 0 for automatic, 1 for advanced mode.
 VACUUM_WRITABLE: Mapping[str, int] = {**WRITABLE, "MOD": 1}
@@ -32,6 +32,8 @@ RELEASE = 255
 #: Faults that are results of a grip: a porous object, and no object in time. Source: ros2_epick_gripper.
 RESULTS = {3: "the object is porous", 6: "no object was gripped in time"}
 
+#: Variables that reset the gripper, so that it does not repeat the last grip when it is activated.
+_RESET = {**RESET, "GTO": 0}
 #: Largest vacuum in kPa at which an object counts as released (assumed).
 _RELEASED = 5.0
 
@@ -132,12 +134,12 @@ class VacuumGripper(RobotiqGripper):
         Raises:
             LinkTimeout: If the gripper is not active in time.
         """
-        self._activate(again, timeout)
+        self._activate(again, timeout, _RESET)
         return self.status()
 
     def deactivate(self) -> None:
         """Reset the gripper. It drops its object, and does not grip until it is activated again."""
-        self._set(set_line({"ACT": 0, "ATR": 0}), moves=False)
+        self._set(set_line(_RESET), moves=False)
 
     def grip(
         self,

@@ -78,11 +78,8 @@ class _Receiver(InterfaceReceiver):
         if function in (WRITE, _WRITE_ONE) and len(body) >= 5:
             words = body[6:] if function == WRITE else body[3:]
             count = len(words) // 2
-            if (
-                not count
-                or len(words) % 2
-                or (function == WRITE and body[3:6] != struct.pack(">HB", count, len(words)))
-            ):
+            is_consistent = function == _WRITE_ONE or body[3:6] == struct.pack(">HB", count, len(words))
+            if not count or len(words) % 2 or not is_consistent:
                 return bytes((function | REJECTED, _NO_VALUE))
             if not self._gripper.write(first, struct.unpack(f">{count}H", words)):
                 return bytes((function | REJECTED, _NO_REGISTER))
