@@ -5,7 +5,7 @@ The module is imported when the first part is used, so a program that only reads
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
 
 from linkcore.aio.async_stream import AsyncFeed, AsyncStream
@@ -14,13 +14,14 @@ from ..command.interpreter import Interpreter, InterpreterState
 from ..command.io import IO
 from ..command.safety import Safety
 from ..command.scripts import Scripts
-from ..motion import Motions, Points, PointStream, Teaching
+from ..motion import Motions, Points, PointStream, Teaching, Wrench, WrenchStream
 from ..motion.points.point import Point
 from ..protocol.dashboard.client import Dashboard
 from ..protocol.gripper.client import Gripper
 from ..protocol.gripper.onrobot import RGGripper, RGModel
 from ..protocol.gripper.vacuum import VacuumGripper
 from ..protocol.ports import PORTS
+from ..protocol.realtime.packets import RealtimeState
 from ..protocol.rtde.recipes import Outputs
 from ..protocol.tool_serial import ToolSerial
 from ..rtde import Inputs, OutputStream, Registers, Rtde
@@ -51,6 +52,7 @@ __all__ = [
     "AsyncTeaching",
     "AsyncToolSerial",
     "AsyncVacuumGripper",
+    "AsyncWrenchStream",
 ]
 
 T = TypeVar("T", bound=Outputs)
@@ -142,6 +144,7 @@ class AsyncSafety(AwaitedPart[Safety]):
     __slots__ = ()
 
     enable = awaited(Safety.enable)
+    explain = awaited(Safety.explain)
     on_stop = awaited(Safety.on_stop)
     wait_enabled = awaited(Safety.wait_enabled)
     wait_for_stop = awaited(Safety.wait_for_stop)
@@ -358,6 +361,28 @@ class AsyncTeaching(AwaitedPart[Teaching]):
 
     taught = attribute(Teaching, lambda part: part.taught)
     freedrive = attribute(Teaching, lambda part: part.freedrive)
+
+
+class AsyncWrenchStream(AwaitedPart[WrenchStream]):
+    """Awaitable version of `WrenchStream`; iterate with ``async for``."""
+
+    __slots__ = ()
+
+    wait = awaited(WrenchStream.wait)
+    wait_until = awaited(WrenchStream.wait_until)
+    zero = awaited(WrenchStream.zero)
+
+    payload = attribute(WrenchStream, lambda part: part.payload)
+    frame = attribute(WrenchStream, lambda part: part.frame)
+    latest = attribute(WrenchStream, lambda part: part.latest)
+
+    def compensate(self, state: RealtimeState) -> Wrench:
+        """Return the wrench of a state, like `WrenchStream.compensate`."""
+        return self._part.compensate(state)
+
+    async def __aiter__(self) -> AsyncIterator[Wrench]:
+        async for state in AsyncStream(self._part._realtime):
+            yield self._part.compensate(state)
 
 
 class AsyncRegisters(AwaitedPart[Registers]):
