@@ -225,10 +225,10 @@ def _value(variant: ua.VariantType, value: Any) -> ua.DataValue:
 def _of(state: Any, variant: ua.VariantType, get: Callable[[Any], Any], when: datetime | None) -> ua.DataValue:
     """Return the value of a node, or a bad status if the robot is lost or does not send the value."""
     if state is None:
-        return ua.DataValue(ua.Variant(None), StatusCode_=ua.StatusCode(ua.StatusCodes.BadNoCommunication))
+        return ua.DataValue(ua.Variant(None), StatusCode=ua.StatusCode(ua.StatusCodes.BadNoCommunication))
     value = get(state)
     if value is None or (isinstance(value, float) and math.isnan(value)):
-        return ua.DataValue(ua.Variant(None), StatusCode_=ua.StatusCode(ua.StatusCodes.BadNotSupported))
+        return ua.DataValue(ua.Variant(None), StatusCode=ua.StatusCode(ua.StatusCodes.BadNotSupported))
     return ua.DataValue(ua.Variant(value, variant), SourceTimestamp=when)
 
 

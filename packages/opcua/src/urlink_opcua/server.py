@@ -194,6 +194,7 @@ class Server:
             for kind, error in (await asyncio.to_thread(nodes.connect_registers, _REGISTERS)).items():
                 _log.warning("%s: the output registers of kind %s are left out: %s", name, kind, error)
             await nodes.add(inputs=self._allow)
+            await nodes.show(await asyncio.to_thread(nodes.values))
             self._nodes.append(nodes)
             report = partial(self._report, nodes)
             self._commands.append(
