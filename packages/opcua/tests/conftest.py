@@ -9,6 +9,8 @@ import pytest
 
 pytest.importorskip("asyncua")
 
+import contextlib
+
 import urlink
 from packages.opcua.tests.clients import PASSWORD, Keys, certificate
 from urlink_opcua import Access, Server
@@ -45,7 +47,9 @@ def shared_robot() -> Iterator[urlink.Robot]:
 def serving(robot: urlink.Robot, keys: dict[str, Keys], access: Access, *, allow: bool) -> Server:
     certificate = read_certificate(str(keys["server"].certificate))
     key = read_private_key(str(keys["server"].private_key), certificate)
-    return Server({"arm": robot}, port=0, rate=50.0, allow=allow, access=access, certificate=certificate, private_key=key)
+    return Server(
+        {"arm": robot}, port=0, rate=50.0, allow=allow, access=access, certificate=certificate, private_key=key
+    )
 
 
 @pytest.fixture(scope="session")
@@ -58,10 +62,8 @@ def shared_server(shared_robot: urlink.Robot, keys: dict[str, Keys], access: Acc
 def server(shared_server: Server, shared_robot: urlink.Robot) -> Iterator[Server]:
     """Server that accepts commands. After the test, no program runs."""
     yield shared_server
-    try:
+    with contextlib.suppress(urlink.DashboardRefused):
         shared_robot.dashboard.stop()
-    except urlink.DashboardRefused:
-        pass
 
 
 @pytest.fixture

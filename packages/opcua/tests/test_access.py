@@ -207,7 +207,12 @@ def test_client_cannot_change_address_space(server: Server, keys: dict[str, Keys
 
 def test_server_keeps_serving_after_nonsense(server: Server) -> None:
     host, port = "127.0.0.1", server.port
-    for data in (b"GET / HTTP/1.1\r\n\r\n", b"OPNF\xff\xff\xff\x7f" + b"x" * 100, b"\x00" * 4096, b"HELF\x08\x00\x00\x00"):
+    for data in (
+        b"GET / HTTP/1.1\r\n\r\n",
+        b"OPNF\xff\xff\xff\x7f" + b"x" * 100,
+        b"\x00" * 4096,
+        b"HELF\x08\x00\x00\x00",
+    ):
         with socket.create_connection((host, port), 10.0) as raw:
             raw.sendall(data)
 
@@ -325,5 +330,3 @@ def test_port_in_use_is_reported() -> None:
 def test_server_is_only_on_this_computer_by_default() -> None:
     args: Any = parsed()
     assert (args.listen, args.allow, args.no_anonymous, args.port) == ("127.0.0.1", False, False, 4840)
-
-

@@ -319,7 +319,8 @@ def test_controller_without_rtde_is_served_without_registers(keys: dict[str, Key
             assert (await read(client, "Firmware")).startswith("1.8")
             return [str(each) for each in children]
 
-    with urlink.connect("sim://ur5?firmware=1.8", read_only=True) as robot, serving(
-        robot, keys, access, allow=False
-    ) as server:
+    with (
+        urlink.connect("sim://ur5?firmware=1.8", read_only=True) as robot,
+        serving(robot, keys, access, allow=False) as server,
+    ):
         assert run(main(server)) == []

@@ -112,9 +112,7 @@ class RobotCommands:
         self._played: str | None = None
         self._lanes = {lane: ThreadPoolExecutor(1, f"{name} {lane}") for lane in ("programs", "registers", "stops")}
 
-    async def execute(
-        self, name: str, user: User, client: str, lane: str, call: Callable[[], object]
-    ) -> ua.StatusCode:
+    async def execute(self, name: str, user: User, client: str, lane: str, call: Callable[[], object]) -> ua.StatusCode:
         """Check a command, and execute it; return the status for its client.
 
         If the command takes longer than half a second, the status is GoodCompletesAsynchronously. If the connection

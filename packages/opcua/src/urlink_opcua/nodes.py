@@ -10,7 +10,8 @@ from collections.abc import Callable, Iterator
 from datetime import datetime, timezone
 from typing import Any, NamedTuple
 
-from asyncua import Server as AsyncuaServer, ua
+from asyncua import Server as AsyncuaServer
+from asyncua import ua
 
 from urlink import LinkError, Robot
 from urlink.rtde import OutputStream
@@ -189,7 +190,10 @@ class RobotNodes:
             when = None if received is None else datetime.fromtimestamp(received.wall, timezone.utc)
             for number in kind.numbers:
                 attribute = f"output_{kind.rtde}_register_{number}"
-                yield f"Output{name}{number}", _of(state, kind.variant, lambda each, a=attribute: getattr(each, a), when)
+                yield (
+                    f"Output{name}{number}",
+                    _of(state, kind.variant, lambda each, a=attribute: getattr(each, a), when),
+                )
 
     async def show(self, values: list[tuple[ua.NodeId, ua.DataValue]]) -> None:
         """Write the values that have changed to the nodes."""

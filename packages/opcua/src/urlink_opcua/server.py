@@ -11,7 +11,8 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from asyncua import Server as AsyncuaServer, ua
+from asyncua import Server as AsyncuaServer
+from asyncua import ua
 from asyncua.common.connection import TransportLimits
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import rsa
@@ -197,9 +198,7 @@ class Server:
             await nodes.show(await asyncio.to_thread(nodes.values))
             self._nodes.append(nodes)
             report = partial(self._report, nodes)
-            self._commands.append(
-                RobotCommands(name, robot, allow=self._allow, expiry=self._expiry, report=report)
-            )
+            self._commands.append(RobotCommands(name, robot, allow=self._allow, expiry=self._expiry, report=report))
         await server.start()
         # asyncua listens with its own channels first. No client can log in before these have been replaced.
         server.bserver.set_policies(factories(certificate, private_key))
