@@ -30,6 +30,7 @@ MIDDLEWARES = {
     "draccus",
     "prometheus_client",
     "asyncua",
+    "asyncssh",
     "torch",
     "fastapi",
     "uvicorn",

@@ -91,6 +91,8 @@ if TYPE_CHECKING:
     from .arm.kinematics.arm import Unreachable as Unreachable
     from .arm.models import UnknownModel as UnknownModel
     from .motion.moves.path import Circular as Circular, Joint as Joint, Linear as Linear
+    from .motion.points.point import Point as Point
+    from .motion.points.point_file import NoSuchPoint as NoSuchPoint
     from .motion.teaching import Taught as Taught
     from .motion.moves.trajectory import Trajectory as Trajectory, TrajectoryPoint as TrajectoryPoint
     from .packets import RealtimeState as RealtimeState, RobotModeData as RobotModeData
@@ -138,6 +140,8 @@ else:
             ".arm.kinematics.arm": "Unreachable",
             ".arm.models": "UnknownModel",
             ".motion.moves.path": "Circular Joint Linear",
+            ".motion.points.point": "Point",
+            ".motion.points.point_file": "NoSuchPoint",
             ".motion.teaching": "Taught",
             ".motion.moves.trajectory": "Trajectory TrajectoryPoint",
             ".packets": "RealtimeState RobotModeData",

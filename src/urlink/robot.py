@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from .motion import Freedrive, Motions
     from .motion.control import Control
     from .motion.motions import LinkName
+    from .motion.points.points import Points
     from .motion.teaching import TaughtPoint, Teaching
     from .protocol.dashboard.client import Dashboard
     from .protocol.gripper.client import Gripper
@@ -107,6 +108,8 @@ def connect(options: ConnectOptions) -> Robot:
         isolate: Whether to read the real-time interface in a dedicated process. The newest state is then available at
             any time, even if your program holds the lock of the Python interpreter (GIL) for a long time. Not supported
             on Windows.
+        points: Path of the JSON file for `robot.points`. The first taught point creates the file. If None,
+            `robot.points` raises `LocalError`.
 
     Raises:
         BadAddress: If the address is invalid.
@@ -119,7 +122,7 @@ def connect(options: ConnectOptions) -> Robot:
     """
     if isinstance(options.place, RecordingAddress):
         refusal = f"{options.name} is a recording, so it cannot be commanded"
-        return Robot(options.name, recorded(options.place), refusal=refusal)
+        return Robot(options.name, recorded(options.place), refusal=refusal, points=options.points)
     controller = robot = None
     place = options.place
     if isinstance(place, SimulatorAddress):
@@ -182,8 +185,8 @@ def assemble(
 
     if options.read_only:
         refusal = f"{address} was connected with read_only=True, so it cannot be commanded"
-        return Robot(address, source, controller, refusal=refusal, known=known)
-    return Robot(address, source, controller, known=known, control=control)
+        return Robot(address, source, controller, refusal=refusal, known=known, points=options.points)
+    return Robot(address, source, controller, known=known, control=control, points=options.points)
 
 
 def peers_of(place: RobotAddress) -> tuple[Hashable, ...]:
@@ -221,12 +224,15 @@ class Robot(StrictAttributes, Closing):
         refusal: str = "",
         known: Identity | None = None,
         control: Callable[[Robot], Control] | None = None,
+        points: str | os.PathLike[str] | None = None,
     ) -> None:
         self.address = address
         self._controller = controller
         self._make_control = control
         self._control: MadeOnce[Control] = MadeOnce()
         self._refusal = refusal
+        self._points_path = points
+        self._points: MadeOnce[Points] = MadeOnce()
         self._source = source
         self._who = KnownIdentity(source.ask, known)
         # Changed in single steps, so that a signal handler always sees a consistent dict.
@@ -573,6 +579,26 @@ class Robot(StrictAttributes, Closing):
         buttons = self.rtde.outputs("robot_status_bits") if button else None
         mode = None if button else self.freedrive(axes, frame=frame, watchdog=watchdog, link=link)
         return Teaching(self.realtime, self.model, mode, bit, buttons, on_point or (lambda point: None))
+
+    @property
+    def points(self) -> Points:
+        """Taught points by name, in the file that was passed to `connect` as ``points=``. See `Points`.
+
+        Raises:
+            LocalError: If `connect` got no file.
+        """
+        if self._points_path is None:
+            raise LocalError(
+                f"no file for points was given; connect with points=, as in urlink.connect({self.address!r}, "
+                "points='cell.json')"
+            )
+        known = self._points.made
+        if known is not None:
+            return known
+        from .motion.points.point_file import PointFile
+        from .motion.points.points import Points
+
+        return self._points.keep(Points(PointFile(self._points_path), self.realtime, self._who))
 
     def zero_force_sensor(self) -> None:
         """Zero the force sensor: the current force at the TCP becomes zero. Firmware 3.0 or later.

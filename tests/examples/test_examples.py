@@ -177,6 +177,16 @@ def test_closed_loop_monitor_fails_beyond_limits() -> None:
     assert "a joint moves at" in done.stdout
 
 
+@pytest.mark.slow
+def test_named_points_moves_with_another_tool() -> None:
+    assert output("named_points.py").splitlines() == [
+        "at_part: reachable, TCP changed by 30 mm",
+        "above_part: reachable, TCP changed by 30 mm",
+        "refused without keep",
+        "the new TCP is at the part",
+    ]
+
+
 def test_two_robots_prints_both_robots() -> None:
     lines = output("two_robots.py", "--duration", "1").splitlines()
     assert {line.partition(": ")[0] for line in lines} == {"sim://ur5e", "sim://ur10?firmware=3.4"}

@@ -46,6 +46,7 @@ NAMES = [
     "LocalError",
     "Motion",
     "NoContact",
+    "NoSuchPoint",
     "NoSuchVariable",
     "NotConfirmed",
     "NotEnabled",
@@ -54,6 +55,7 @@ NAMES = [
     "PacketError",
     "PendingCall",
     "Phase",
+    "Point",
     "Policy",
     "Program",
     "ProgramStopped",
@@ -138,7 +140,7 @@ HANDLE = "add_done_callback cancel done error name phase wait"
 #: Attributes and methods of the objects that users hold, as tab completion shows them.
 SURFACES = {
     "robot": """address clock close controller dashboard firmware freedrive gripper identity interpreter io kinematics
-        model motion popup primary realtime record registers rtde safety script secondary set_gravity set_payload
+        model motion points popup primary realtime record registers rtde safety script secondary set_gravity set_payload
         set_speed_slider set_tcp teach tool_serial view zero_force_sensor""",
     "robot.tool_serial": "ask close discard read write",
     "robot.gripper": """activate close deactivate get move object_detected open position position_of set status stop
@@ -197,8 +199,8 @@ SURFACES = {
 #: Attributes and methods of an asyncio robot and its parts.
 ASYNC_SURFACES = {
     "robot": """address call clock close controller dashboard firmware freedrive gripper identify identity interpreter
-        io kinematics model motion popup primary realtime record registers rtde safety script secondary set_gravity
-        set_payload set_speed_slider set_tcp teach tool_serial view zero_force_sensor""",
+        io kinematics model motion points popup primary realtime record registers rtde safety script secondary
+        set_gravity set_payload set_speed_slider set_tcp teach tool_serial view zero_force_sensor""",
     "robot.realtime": """close connection description failure history iterate join latest name of plot start
         stats stream subscribe wait wait_until""",
     "robot.realtime.of(urlink.packets.RealtimeState)": "history iterate latest plot subscribe wait wait_until",
@@ -254,8 +256,8 @@ DEFAULTS = {
     ),
     "robot.motion.jog": "frame='joints', acceleration=1.2, timeout=0.3, watchdog=0.2, link='reverse'",
     "robot.motion.move_circular": "speed=0.25, acceleration=1.2, wait=False",
-    "robot.motion.move_joints": "speed=1.05, acceleration=1.4, time=None, wait=False",
-    "robot.motion.move_linear": "speed=0.25, acceleration=1.2, time=None, wait=False",
+    "robot.motion.move_joints": "speed=1.05, acceleration=1.4, time=None, keep=None, wait=False",
+    "robot.motion.move_linear": "speed=0.25, acceleration=1.2, time=None, keep=None, wait=False",
     "robot.motion.path": "speed=0.25, acceleration=1.2, joint_speed=1.05, joint_acceleration=1.4, wait=False",
     "robot.motion.stream": (
         "buffer=0.5, acceleration=10.0, jerk=100.0, watchdog=1.0, lookahead_time=0.03, gain=300.0, link='reverse'"

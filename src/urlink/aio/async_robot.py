@@ -41,6 +41,7 @@ if TYPE_CHECKING:
         AsyncInterpreter,
         AsyncIO,
         AsyncMotions,
+        AsyncPoints,
         AsyncRegisters,
         AsyncRtde,
         AsyncSafety,
@@ -176,6 +177,13 @@ class AsyncRobot(AwaitedPart[threaded.Robot]):
         from .parts import AsyncMotions
 
         return AsyncMotions(self._part.motion, self._workers)
+
+    @property
+    def points(self) -> AsyncPoints:
+        """Taught points by name; see `Robot.points`."""
+        from .parts import AsyncPoints
+
+        return AsyncPoints(self._part.points, self._workers)
 
     @property
     def io(self) -> AsyncIO:

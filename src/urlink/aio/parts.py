@@ -5,6 +5,7 @@ The module is imported when the first part is used, so a program that only reads
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from linkcore.aio.async_stream import AsyncFeed, AsyncStream
@@ -13,7 +14,8 @@ from ..command.interpreter import Interpreter, InterpreterState
 from ..command.io import IO
 from ..command.safety import Safety
 from ..command.scripts import Scripts
-from ..motion import Motions, PointStream, Teaching
+from ..motion import Motions, Points, PointStream, Teaching
+from ..motion.points.point import Point
 from ..protocol.dashboard.client import Dashboard
 from ..protocol.gripper.client import Gripper
 from ..protocol.rtde.recipes import Outputs
@@ -36,6 +38,7 @@ __all__ = [
     "AsyncMotions",
     "AsyncOutputStream",
     "AsyncPointStream",
+    "AsyncPoints",
     "AsyncRegisters",
     "AsyncRtde",
     "AsyncSafety",
@@ -97,6 +100,35 @@ class AsyncMotions(AwaitedPart[Motions]):
     impedance = block(Motions.impedance)
 
     current = attribute(Motions, lambda part: part.current)
+
+
+class AsyncPoints(AwaitedPart[Points]):
+    """Awaitable version of `Points`. Lookups such as ``robot.points["bin"]`` read the small file immediately."""
+
+    __slots__ = ()
+
+    add = awaited(Points.add)
+    check = awaited(Points.check)
+    check_all = awaited(Points.check_all)
+    get = awaited(Points.get)
+    import_program = awaited(Points.import_program)
+    items = awaited(Points.items)
+    keys = awaited(Points.keys)
+    remove = awaited(Points.remove)
+    teach = awaited(Points.teach)
+    values = awaited(Points.values)
+
+    def __getitem__(self, name: str) -> Point:
+        return self._part[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._part
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._part)
+
+    def __len__(self) -> int:
+        return len(self._part)
 
 
 class AsyncSafety(AwaitedPart[Safety]):

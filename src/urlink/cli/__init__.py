@@ -21,6 +21,7 @@ _COMMANDS: dict[str, str | Plugin] = {
     "run": "run",
     "jog": "jog",
     "teach": "teach",
+    "points": "points",
     "dashboard": "dashboard",
     "record": "record",
     "replay": "replay",

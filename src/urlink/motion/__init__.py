@@ -2,6 +2,8 @@
 
 from .motions import Motions
 from .moves.path import PathMotion, Waypoint
+from .points.point import PointCheck
+from .points.points import Points
 from .servo.following import TrajectoryFeedback
 from .servo.force_control import Contact, ContactMotion, ForceMode, Freedrive, Torque
 from .servo.impedance import Impedance
@@ -20,7 +22,9 @@ __all__ = [
     "Jog",
     "Motions",
     "PathMotion",
+    "PointCheck",
     "PointStream",
+    "Points",
     "PosePoint",
     "Servo",
     "ServoStatistics",

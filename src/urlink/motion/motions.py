@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,6 +28,7 @@ from .links.register_link import RegisterPort
 from .moves.path import PathMotion, Rates, Waypoint, plan, shown_tcp
 from .moves.speed_limit import check_joint_speeds, largest_speeds
 from .moves.trajectory import Trajectory
+from .points.point import KeepName, Point, goal_joints, goal_pose
 from .servo.follower import Follower
 from .servo.following import Following, Tolerances, TrajectoryFeedback, stands
 from .servo.force_control import ContactMotion, ForceMode, Freedrive, Torque, axes_of, frame_of
@@ -41,6 +42,9 @@ from .servo.setpoints import Servoing
 from .servo.waypoints import WaypointServer
 from .slider import SliderEffect, slider
 from .stream.point_stream import PointStream
+
+if TYPE_CHECKING:
+    from ..arm.kinematics import Arm
 
 #: Smallest accepted value of numbers that must be positive. Longest accepted duration, one hour in s: a longer duration
 #: is probably a mistake.
@@ -89,25 +93,33 @@ class Motions(StrictAttributes):
     @starts_motion
     def move_joints(
         self,
-        q: Numbers,
+        q: Numbers | Point,
         speed: float = Default(1.05),
         acceleration: float = Default(1.4),
         *,
         time: float | None = None,
+        keep: KeepName | None = None,
         wait: bool | float = False,
     ) -> Motion:
         """Move all joints to a position, in a straight line in joint space (URScript: `movej`).
 
         Args:
-            q: Joint positions, shape (6,), in rad.
+            q: Joint positions, shape (6,), in rad; or a point of `Robot.points`.
             speed: Speed of the joint that moves furthest, in rad/s.
             acceleration: Acceleration of the joint that moves furthest, in rad/s².
             time: Duration in seconds. It cannot be combined with `speed` or `acceleration`.
+            keep: What to keep if the TCP has changed since the point was taught. With "pose", the current TCP moves to
+                the taught pose, in the taught configuration of the arm. With "joints", the arm moves to the taught
+                joint positions. If None, the motion is refused. Only for a point.
             wait: See `Motions`.
+
+        Raises:
+            BadValue: If a point belongs to another arm model, or if the TCP has changed and `keep` is None.
+            Unreachable: If the current TCP does not reach the pose of a point in the taught configuration.
         """
         seconds = check_wait(wait)
         duration = _time(time, speed, acceleration)
-        goal = six(q, "q")
+        goal = six(self._of_point(goal_joints, q, keep), "q")
         model = self._context.who.identity.arm
         if model is not None:
             model.check_joints(goal)
@@ -119,25 +131,31 @@ class Motions(StrictAttributes):
     @starts_motion
     def move_linear(
         self,
-        pose: Numbers,
+        pose: Numbers | Point,
         speed: float = Default(0.25),
         acceleration: float = Default(1.2),
         *,
         time: float | None = None,
+        keep: KeepName | None = None,
         wait: bool | float = False,
     ) -> Motion:
         """Move the tool to a pose in the base frame, in a straight line (URScript: `movel`).
 
         Args:
-            pose: Position in m and rotation vector in rad, shape (6,).
+            pose: Position in m and rotation vector in rad, shape (6,); or a point of `Robot.points`.
             speed: Speed of the tool, in m/s.
             acceleration: Acceleration of the tool, in m/s².
             time: Duration in seconds. It cannot be combined with `speed` or `acceleration`.
+            keep: See `move_joints`. With "joints", the tool moves to the pose of the current TCP at the taught joint
+                positions.
             wait: See `Motions`.
+
+        Raises:
+            BadValue, Unreachable: See `move_joints`.
         """
         seconds = check_wait(wait)
         duration = _time(time, speed, acceleration)
-        goal = check_pose(pose, "pose")
+        goal = check_pose(self._of_point(goal_pose, pose, keep), "pose")
         body = commands.move_linear(goal.tolist(), *_tool_rates(speed, acceleration), duration)
         self._check_reach(goal)
         # Compare only the position of the pose, because one rotation has more than one rotation vector.
@@ -785,6 +803,24 @@ class Motions(StrictAttributes):
         return arm.forward(q, shown_tcp(arm, state))
 
     # ----------------------------------------------------------------------------------------------------
+
+    def _of_point(
+        self,
+        goal: Callable[[Point, KeepName | None, Arm, FloatArray], FloatArray],
+        target: Numbers | Point,
+        keep: KeepName | None,
+    ) -> Numbers:
+        """Return the numbers of a target: the target itself, or the goal of a motion to a point.
+
+        Args:
+            goal: Function that returns the goal for a point, `keep`, the arm and its current TCP.
+        """
+        if not isinstance(target, Point):
+            if keep is not None:
+                raise BadValue(f"keep={keep!r} applies only to a point of robot.points; omit keep")
+            return target
+        arm = self._context.who.identity.kinematics
+        return goal(target, keep, arm, shown_tcp(arm, self._context.state()))
 
     def _check_reach(self, goal: FloatArray) -> None:
         """Raise `Unreachable` if the TCP cannot reach a pose. If the model of the arm is unknown, check nothing."""

@@ -58,6 +58,7 @@ class ConnectOptions:
     reverse_peer: str | None = None
     commands_via: CommandsVia = "auto"
     isolate: bool = False
+    points: str | os.PathLike[str] | None = None
     name: str = field(init=False)
     place: Address = field(init=False)
 
@@ -84,6 +85,10 @@ class ConnectOptions:
             raise BadValue(
                 f"isolate={self.isolate!r} is not supported for the recording {name}; expected isolate=False"
             )
+        if self.points is not None:
+            if not isinstance(self.points, (str, os.PathLike)) or not os.fspath(self.points):
+                raise BadValue(f"points={self.points!r}; expected the path of a file, such as 'cell.json', or None")
+            checked["points"] = os.fspath(self.points)
         vars(self).update(checked)  # bypasses the frozen dataclass
 
 

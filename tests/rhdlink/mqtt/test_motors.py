@@ -55,5 +55,14 @@ def test_wheel_that_is_off_does_not_move() -> None:
     assert wheel.speed == 0.0
 
 
+def test_moving_wheel_has_no_voltage_after_it_was_switched_off() -> None:
+    wheel = Wheel()
+    driven(0.3, 1.0, wheel)
+    wheel.is_on = False
+    wheel.step()
+    assert wheel.volts == 0.0
+    assert wheel.speed > 0.0
+
+
 def test_wheel_drives_backward() -> None:
     assert driven(-0.2, 1.0)[-1, 0] == pytest.approx(-0.2, abs=0.01)

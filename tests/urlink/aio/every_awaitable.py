@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import functools
+import gzip
 import importlib
 import inspect
 import pkgutil
@@ -186,6 +187,12 @@ async def _points(cell: Cell) -> AsyncIterator[Any]:
 
 
 @contextlib.asynccontextmanager
+async def _named_points(cell: Cell) -> AsyncIterator[Any]:
+    await cell.robot.points.teach("bin", replace=True)
+    yield cell.robot.points
+
+
+@contextlib.asynccontextmanager
 async def _points_of_all(cell: Cell) -> AsyncIterator[Any]:
     async with AsyncGroup(cell.robot, cell.other).stream(buffer=0.3) as stream:
         await stream.append([_away(cell.robot, 0.02, 0.5), _away(cell.other, 0.02, 0.5)], wait=False)
@@ -225,6 +232,7 @@ OPEN: Mapping[str, Callable[[Cell], AbstractAsyncContextManager[Any]]] = {
     "AsyncTeaching": lambda cell: cell.robot.teach(),
     "AsyncInterpreter": _interpreter,
     "AsyncPointStream": _points,
+    "AsyncPoints": _named_points,
     "AwaitedHandle": _interpreter,
     "AsyncGroup": lambda cell: _is(AsyncGroup(cell.robot, cell.other)),
     "AsyncGroupStream": _points_of_all,
@@ -341,6 +349,12 @@ SAMPLES: Mapping[str, Sample] = {
     "AsyncInterpreter.execute": lambda interpreter: interpreter.execute(MOVEJ, wait=True),
     "AsyncPointStream.append": lambda points, cell: points.append(_away(cell.robot, 0.5, 5.0, since=0.6)),
     "AsyncPointStream.replace": lambda points, cell: points.replace(0.3, _away(cell.robot, 0.3, 5.0)),
+    "AsyncPoints.add": lambda points: points.add("new", points["bin"], replace=True),
+    "AsyncPoints.check": lambda points: points.check("bin"),
+    "AsyncPoints.get": lambda points: points.get("bin"),
+    "AsyncPoints.import_program": lambda points, cell: points.import_program(_program(cell), replace=True),
+    "AsyncPoints.remove": lambda points: points.remove("bin"),
+    "AsyncPoints.teach": lambda points: points.teach("bin", replace=True),
     "AsyncGroup.follow": lambda group, cell: group.follow(
         [_away(cell.robot, 0.5, 5.0), _away(cell.other, 0.5, 5.0)], wait=True
     ),
@@ -355,6 +369,15 @@ SAMPLES: Mapping[str, Sample] = {
     ),
     "AsyncMobileRobot.updates": lambda robot: robot.updates(),
 }
+
+
+def _program(cell: Cell) -> Path:
+    """Write a program with a waypoint, and return its path."""
+    joints = '<JointAngles angles="0, -1.5, 1.5, 0, 1, 0"/><TCPOffset pose="0, 0, 0, 0, 0, 0"/>'
+    waypoint = f'<Waypoint type="Fixed" name="home"><position>{joints}</position></Waypoint>'
+    path = cell.new_file(".urp")
+    path.write_bytes(gzip.compress(f"<URProgram>{waypoint}</URProgram>".encode()))
+    return path
 
 
 async def _played(dashboard: Any) -> None:

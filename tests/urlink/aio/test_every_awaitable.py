@@ -57,7 +57,10 @@ class Bench:
 
     @contextlib.asynccontextmanager
     async def cell(self) -> AsyncIterator[Cell]:
-        first, second = (urlink.connect_async(each.address, stale_after=10.0) for each in self.controllers)
+        points = self.files / "cell.json"
+        first, second = (
+            urlink.connect_async(each.address, stale_after=10.0, points=points) for each in self.controllers
+        )
         async with first as robot, second as other:
             await robot.realtime.wait()
             await other.realtime.wait()

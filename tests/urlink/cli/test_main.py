@@ -33,6 +33,7 @@ COMMANDS = (
         "run",
         "jog",
         "teach",
+        "points",
         "dashboard",
         "record",
         "replay",

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from urlink import Taught
+from urlink.motion.points.point_file import PointFile
 from urlink.simulator import Controller, Still
 
 from .conftest import Run
@@ -57,3 +58,37 @@ def test_teach_rejects_invalid_arguments(run: Run, arguments: list[str], status:
     found, _, err = run("teach", "sim://", *arguments)
     assert found == status
     assert text in err
+
+
+@pytest.mark.slow
+@pytest.mark.real_time
+def test_teach_point_saves_one_point_by_name(
+    spawn: Callable[..., subprocess.Popen[str]], run: Run, tmp_path: Path
+) -> None:
+    file = tmp_path / "cell.json"
+    with Controller("UR5e", "5.11", motion=Still()) as controller:
+        process = spawn("teach", controller.address, str(file), "--point", "bin", stdin=subprocess.PIPE)
+        out, _ = process.communicate("what\n\n", timeout=40)
+        assert process.returncode == 0
+        lines = out.splitlines()
+        assert lines[:2] == ["move the arm; Enter saves the point, q ends", "Enter saves the point, q ends"]
+        assert lines[2].startswith(f"bin in {file}: q")
+        point = PointFile(file).point("bin")
+        assert point.model == "UR5e"
+        status, _, err = run("teach", controller.address, str(file), "--point", "bin")
+        assert status == 1
+        assert "already has a point 'bin'; add --replace to replace it" in err
+        process = spawn("teach", controller.address, str(file), "--point", "bin", "--replace", stdin=subprocess.PIPE)
+        assert process.communicate("\n", timeout=40)[0].splitlines()[1].startswith("bin in ")
+        process = spawn("teach", controller.address, str(file), "--point", "new", stdin=subprocess.PIPE)
+        process.communicate("q\n", timeout=40)
+        assert process.returncode == 1
+    assert list(PointFile(file).read()) == ["bin"]
+
+
+@pytest.mark.parametrize("more", [["--button"], ["--digital-input", "0"], ["--play"]])
+@pytest.mark.real_time
+def test_teach_point_refuses_options_of_waypoints(run: Run, more: list[str]) -> None:
+    status, _, err = run("teach", "sim://", "cell.json", "--point", "bin", *more)
+    assert status == 2
+    assert "--point" in err
