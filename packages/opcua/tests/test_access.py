@@ -39,8 +39,12 @@ async def may_command(client: Client) -> bool:
         await call(client, "StopProgram"),
         await write(client, "InputInteger24", 7, ua.VariantType.Int32),
     ]
-    assert statuses == [GOOD] * 3 or statuses == [DENIED] * 3, statuses
-    return statuses[0] == GOOD
+    if statuses == [DENIED] * 3:
+        return False
+    # A stop takes longer if no program runs: it sends a script.
+    assert statuses[0] == statuses[2] == GOOD
+    assert statuses[1] in (GOOD, ua.StatusCodes.GoodCompletesAsynchronously)
+    return True
 
 
 @pytest.mark.parametrize(
@@ -235,12 +239,12 @@ def test_slow_client_is_disconnected_and_delays_nothing(server: Server, robot: u
             params = ua.ReadParameters()
             params.NodesToRead = [ua.ReadValueId(NodeId=node, AttributeId=ua.AttributeIds.Value)] * 2000
             tasks = [asyncio.create_task(client.uaclient.read(params)) for _ in range(400)]
-            before = robot.realtime.statistics
+            before = robot.realtime.stats
             end = time.monotonic() + 60.0
             while server._server.iserver.asyncio_transports and time.monotonic() < end:
                 await asyncio.sleep(0.05)
             assert not server._server.iserver.asyncio_transports
-            after = robot.realtime.statistics
+            after = robot.realtime.stats
             assert after.received > before.received
             for task in tasks:
                 task.cancel()

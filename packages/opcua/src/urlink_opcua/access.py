@@ -203,6 +203,11 @@ class Session(InternalSession):  # type: ignore[misc, unused-ignore]
 
     iserver: InternalServer
 
+    @property
+    def client(self) -> str:
+        """Address of the client, for messages."""
+        return ":".join(map(str, self.name[:2])) if isinstance(self.name, tuple) else str(self.name)
+
     def activate_session(
         self, params: ua.ActivateSessionParameters, peer_certificate: bytes | None
     ) -> ua.ActivateSessionResult:
@@ -210,7 +215,7 @@ class Session(InternalSession):  # type: ignore[misc, unused-ignore]
 
         Args:
             params: Credentials.
-            peer_certificate: Certificate of the channel (DER); None for a channel without security.
+            peer_certificate: Certificate of the channel (DER); empty for a channel without security.
 
         Raises:
             ServiceError: If the credentials are refused.
@@ -222,7 +227,7 @@ class Session(InternalSession):  # type: ignore[misc, unused-ignore]
         token = params.UserIdentityToken
         is_named = isinstance(token, ua.UserNameIdentityToken | ua.X509IdentityToken)
         try:
-            if is_named and peer_certificate is None:
+            if is_named and not peer_certificate:
                 raise ServiceError(ua.StatusCodes.BadSecurityPolicyRejected)
             if isinstance(token, ua.UserNameIdentityToken) and not token.UserName:
                 raise ServiceError(ua.StatusCodes.BadIdentityTokenInvalid)
@@ -231,7 +236,7 @@ class Session(InternalSession):  # type: ignore[misc, unused-ignore]
                 peer_certificate = None
             return super().activate_session(params, peer_certificate)
         except Exception as error:
-            _log.warning("refused the login of %s: %s", self.name, error)
+            _log.warning("refused the login of %s: %s", self.client, error)
             raise
 
     async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:

@@ -40,8 +40,6 @@ NAMESPACE = "urn:urlink:opcua"
 _START, _END = 60.0, 10.0
 #: Maximum time, in s, to wait for each kind of output register.
 _REGISTERS = 5.0
-#: Seconds for which commands are refused after an interruption of this process.
-_SETTLING = 5.0
 #: Bytes that may be queued for a client that does not read them. Then its connection is aborted.
 _QUEUED = 1 << 20
 #: Largest request of a client, in bytes.
@@ -60,6 +58,7 @@ class Server:
         access: Credentials of clients.
         certificate: Certificate of the server; None if it only serves unencrypted reading.
         private_key: Private key of the certificate.
+        settling: Seconds for which commands are refused after this process was interrupted for more than 2 s.
 
     Attributes:
         port: Port that the server listens at.
@@ -83,6 +82,7 @@ class Server:
         access: Access | None = None,
         certificate: x509.Certificate | None = None,
         private_key: rsa.RSAPrivateKey | None = None,
+        settling: float = 5.0,
     ) -> None:
         access = Access() if access is None else access
         if not 0.1 <= rate <= 50:
@@ -103,7 +103,7 @@ class Server:
         self._keys = (certificate, private_key)
         self._is_ready = False
         self._ended = threading.Event()
-        self._expiry = Expiry(_SETTLING)
+        self._expiry = Expiry(settling)
         self._server = AsyncuaServer(iserver=InternalServer(access, self))
         self._robots = dict(robots)
         self._nodes: list[RobotNodes] = []
@@ -269,7 +269,7 @@ class Server:
         else:
             call = partial(PROGRAMS[name], robot)
         lane = "stops" if name == STOP else "programs"
-        result.StatusCode = await commands.execute(name, session.user, session.name, lane, call)
+        result.StatusCode = await commands.execute(name, session.user, session.client, lane, call)
         result.InputArgumentResults = [ua.StatusCode() for _ in arguments]
         return result
 
@@ -286,7 +286,7 @@ class Server:
             if given is None or given.VariantType != variant or given.is_array or given.Value is None:
                 return ua.StatusCode(ua.StatusCodes.BadTypeMismatch)
             call = partial(getattr(nodes.robot.registers, method), number, given.Value)
-            status = await commands.execute(name, session.user, session.name, "registers", call)
+            status = await commands.execute(name, session.user, session.client, "registers", call)
             if status.is_good():
                 await self._server.write_attribute_value(value.NodeId, ua.DataValue(ua.Variant(given.Value, variant)))
             return status

@@ -1,0 +1,114 @@
+"""Order and refusal of commands, without a server."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Iterator
+
+import pytest
+from asyncua import ua
+from asyncua.crypto.permission_rules import User, UserRole
+
+import urlink
+from urlink_opcua.access import Operator
+from urlink_opcua.commands import Outcome, RobotCommands
+
+pytestmark = pytest.mark.real_time
+
+OPERATOR = Operator(UserRole.User, "operator")
+
+
+class Clock:
+    """Clock that a test sets, in s."""
+
+    time = 100.0
+
+    def __call__(self) -> float:
+        return self.time
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def outcomes() -> list[Outcome]:
+    return []
+
+
+@pytest.fixture
+def commands(robot: urlink.Robot, clock: Clock, outcomes: list[Outcome]) -> Iterator[RobotCommands]:
+    expiry = urlink.Expiry(5.0, clock)
+    expiry.tick()
+    commands = RobotCommands("arm", robot, allow=True, expiry=expiry, report=outcomes.append)
+    yield commands
+    commands.close()
+
+
+def ask(commands: RobotCommands, lane: str = "programs", user: User = OPERATOR) -> int:
+    return int(asyncio.run(commands.execute("Command", user, "here", lane, lambda: None)).value)
+
+
+def test_command_after_interruption_is_refused_but_not_a_stop(commands: RobotCommands, clock: Clock) -> None:
+    assert ask(commands) == ua.StatusCodes.Good
+    clock.time += 3.0
+    assert ask(commands) == ua.StatusCodes.BadTimeout
+    assert ask(commands, "registers") == ua.StatusCodes.BadTimeout
+    assert ask(commands, "stops") == ua.StatusCodes.Good
+    for _ in range(6):  # the server ticks while it runs
+        clock.time += 1.0
+        ask(commands)
+    assert ask(commands) == ua.StatusCodes.Good
+
+
+def test_stop_without_credentials_is_refused(commands: RobotCommands, outcomes: list[Outcome]) -> None:
+    assert ask(commands, "stops", User(UserRole.User, "reader")) == ua.StatusCodes.BadUserAccessDenied
+    assert outcomes == []
+
+
+def test_queued_command_is_not_executed_after_stop(commands: RobotCommands, outcomes: list[Outcome]) -> None:
+    begun, release = threading.Event(), threading.Event()
+    done: list[str] = []
+
+    def first() -> None:
+        begun.set()
+        release.wait(60.0)
+
+    async def main() -> None:
+        tasks = [
+            asyncio.create_task(commands.execute(name, OPERATOR, "here", "programs", call))
+            for name, call in (("first", first), ("second", lambda: done.append("second")))
+        ]
+        await asyncio.to_thread(begun.wait, 60.0)
+        stop = await commands.execute("stop", OPERATOR, "here", "stops", lambda: done.append("stop"))
+        assert stop.value == ua.StatusCodes.Good
+        release.set()
+        await asyncio.gather(*tasks)
+        last = await commands.execute("last", OPERATOR, "here", "programs", lambda: done.append("last"))
+        assert last.value == ua.StatusCodes.Good
+
+    asyncio.run(main())
+    assert done == ["stop", "last"]
+    assert ("second", ua.StatusCodes.BadOperationAbandoned) in [(each.name, each.status) for each in outcomes]
+
+
+def test_too_many_pending_commands_are_refused(commands: RobotCommands) -> None:
+    release = threading.Event()
+
+    async def main() -> list[int]:
+        calls = [commands.execute("wait", OPERATOR, "here", "programs", lambda: release.wait(60.0)) for _ in range(40)]
+        statuses = await asyncio.gather(*calls)
+        release.set()
+        return [int(each.value) for each in statuses]
+
+    statuses = asyncio.run(main())
+    assert statuses.count(int(ua.StatusCodes.GoodCompletesAsynchronously)) == 32
+    assert statuses.count(int(ua.StatusCodes.BadTooManyOperations)) == 8
+
+
+def test_command_is_refused_after_close(commands: RobotCommands) -> None:
+    commands.close()
+    assert ask(commands) == ua.StatusCodes.BadServerHalted
+    assert ask(commands, "stops") == ua.StatusCodes.BadServerHalted
