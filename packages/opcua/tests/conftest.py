@@ -49,7 +49,7 @@ def serving(robot: urlink.Robot, keys: dict[str, Keys], access: Access, *, allow
     key = read_private_key(str(keys["server"].private_key), certificate)
     # A busy computer interrupts the server, which must not make these tests fail.
     options = {"certificate": certificate, "private_key": key, "settling": 0.0}
-    return Server({"arm": robot}, port=0, rate=50.0, allow=allow, access=access, **options)  # type: ignore[arg-type]
+    return Server({"arm": robot}, port=0, rate=50.0, allow=allow, access=access, **options)
 
 
 @pytest.fixture(scope="session")

@@ -113,7 +113,7 @@ class Access:
         known = None if certificate is None else self._trusted.get(certificate)
         if known is None:
             return False
-        return known.not_valid_before_utc <= datetime.now(timezone.utc) < known.not_valid_after_utc
+        return bool(known.not_valid_before_utc <= datetime.now(timezone.utc) < known.not_valid_after_utc)
 
     def get_user(
         self,
@@ -134,7 +134,7 @@ class Access:
             given = (username.encode(), (password or "").encode())
             # Compare both before the result is used, so that the duration reveals neither.
             matches = [hmac.compare_digest(*each) for each in zip(given, self._login or (b"", b""), strict=True)]
-            is_right = self._login is not None and all(matches)
+            is_right: bool = self._login is not None and all(matches)
             return Operator(UserRole.User, username) if is_right else None
         if certificate is not None:
             if not self.trusts(certificate):

@@ -183,7 +183,9 @@ class RobotCommands:
         """Execute a command in the thread of its lane."""
         outcome = Outcome(name, who)
         try:
-            pending.make(lambda: (pending.check(), call()))
+            if pending.is_given_up:
+                raise Cancelled("abandoned before it was executed, by a stop or because its client was lost")
+            pending.make(call)
         except Exception as error:
             if not isinstance(error, LinkError):
                 _log.exception("%s: %s failed", self._name, name)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from datetime import datetime, timezone
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 from asyncua import Server as AsyncuaServer
@@ -189,11 +190,8 @@ class RobotNodes:
             received = None if state is None else state.received
             when = None if received is None else datetime.fromtimestamp(received.wall, timezone.utc)
             for number in kind.numbers:
-                attribute = f"output_{kind.rtde}_register_{number}"
-                yield (
-                    f"Output{name}{number}",
-                    _of(state, kind.variant, lambda each, a=attribute: getattr(each, a), when),
-                )
+                get = attrgetter(f"output_{kind.rtde}_register_{number}")
+                yield f"Output{name}{number}", _of(state, kind.variant, get, when)
 
     async def show(self, values: list[tuple[ua.NodeId, ua.DataValue]]) -> None:
         """Write the values that have changed to the nodes."""
