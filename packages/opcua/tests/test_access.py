@@ -12,9 +12,10 @@ from typing import Any
 
 import pytest
 from asyncua import Client, ua
+from asyncua.common.connection import MessageChunk
 from asyncua.crypto import uacrypto
 from asyncua.crypto.permission_rules import UserRole
-from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256, SecurityPolicyNone
+from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
@@ -109,19 +110,29 @@ def test_password_without_encryption_is_refused(server: Server) -> None:
         run(main())
 
 
-def test_claimed_certificate_without_encryption_gives_nothing(server: Server, keys: dict[str, Keys]) -> None:
+def test_claimed_certificate_without_encryption_gives_nothing(
+    server: Server, keys: dict[str, Keys], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The certificate of a trusted client is public. Only a signature proves its possession."""
+    claimed = uacrypto.der_from_x509(read_certificate(str(keys["client"].certificate)))
+    original = MessageChunk.message_to_chunks
+    sent: list[bytes] = []
+
+    def chunks(policy: Any, *args: Any, **kwargs: Any) -> Any:
+        made = original(policy, *args, **kwargs)
+        if kwargs["message_type"] == ua.MessageType.SecureOpen and not sent:  # the request, not the response
+            made[0].SecurityHeader.SenderCertificate = claimed
+            sent.append(claimed)
+        return made
+
+    monkeypatch.setattr(MessageChunk, "message_to_chunks", staticmethod(chunks))
 
     async def main() -> bool:
-        client = Client(server.url, timeout=60.0)
-        client.session_timeout = 60_000
-        policy = SecurityPolicyNone()
-        policy.host_certificate = uacrypto.der_from_x509(read_certificate(str(keys["client"].certificate)))
-        client.uaclient.security_policy = client.security_policy = policy
-        async with client:
+        async with connected(server.url) as client:
             return await may_command(client)
 
     assert not run(main())
+    assert sent
 
 
 def test_certificate_with_other_private_key_is_refused(server: Server, keys: dict[str, Keys]) -> None:
