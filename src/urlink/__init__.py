@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     from .protocol.decoding import decode as decode, schema as schema
     from .errors import (
         CompileError as CompileError,
+        LimitExceeded as LimitExceeded,
         NoContact as NoContact,
         NotConfirmed as NotConfirmed,
         NotEnabled as NotEnabled,
@@ -97,6 +98,8 @@ if TYPE_CHECKING:
     from .motion.moves.trajectory import Trajectory as Trajectory, TrajectoryPoint as TrajectoryPoint
     from .packets import RealtimeState as RealtimeState, RobotModeData as RobotModeData
     from .robot import Robot as Robot, connect as connect
+    from .session.session_limits import SessionLimits as SessionLimits
+    from .stop_explanation import StopCause as StopCause, StopCurves as StopCurves, StopExplanation as StopExplanation
 
 else:
     __getattr__, __dir__, __all__ = lazy_names(
@@ -128,8 +131,8 @@ else:
             ".recording.recording": "Recording load",
             ".protocol.decoding": "decode schema",
             ".errors": """
-                CompileError NoContact NotConfirmed NotEnabled NotOffered NotRunning ProgramStopped SafetyStop
-                ScriptError ScriptFailed StatementDiscarded ToleranceExceeded
+                CompileError LimitExceeded NoContact NotConfirmed NotEnabled NotOffered NotRunning ProgramStopped
+                SafetyStop ScriptError ScriptFailed StatementDiscarded ToleranceExceeded
             """,
             ".protocol.firmware": "Firmware",
             ".group": "Group",
@@ -146,6 +149,8 @@ else:
             ".motion.moves.trajectory": "Trajectory TrajectoryPoint",
             ".packets": "RealtimeState RobotModeData",
             ".robot": "Robot connect",
+            ".session.session_limits": "SessionLimits",
+            ".stop_explanation": "StopCause StopCurves StopExplanation",
         },
         modules="arm.dynamics arm.kinematics arm.models motion packets arm.poses rtde arm.urdf",
         foreign=".foreign_names",

@@ -4,6 +4,7 @@ The errors belong to two branches of `linkcore.errors`::
 
     LinkError
     ├── LocalError                  an error in your program
+    │   ├── LimitExceeded           a command would exceed a limit of the session; nothing was sent
     │   └── NotOffered              a call of another client library that `urlink.compat` lacks
     └── RemoteError                 the peer sent invalid data, disconnected, or refused
         ├── SafetyStop              a stop is active, or occurred during the motion; `cause` names it
@@ -21,11 +22,38 @@ The errors belong to two branches of `linkcore.errors`::
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
 from linkcore.errors import LocalError, RemoteError
+
+if TYPE_CHECKING:
+    from .stop_explanation import StopExplanation
 
 
 class NotOffered(LocalError, NotImplementedError):
     """Error: `urlink.compat` lacks a call of another client library. The message names the replacement."""
+
+
+class LimitExceeded(LocalError):
+    """A command would exceed a limit of the session (`connect(limits=)`). Nothing was sent.
+
+    If a watched motion comes too close to a limit while it runs, this error ends the motion, and the arm brakes.
+
+    Attributes:
+        limit: Name of the limit: "tool_speed", "joint_speed", "box", "speed_slider", "allowed", or "start".
+        value: Description of the command, with the value that would exceed the limit.
+        expected: Description of the expected values.
+    """
+
+    def __init__(self, limit: str, value: str, expected: str) -> None:
+        super().__init__(limit, value, expected)
+        self.limit = limit
+        self.value = value
+        self.expected = expected
+
+    def __str__(self) -> str:
+        return f"{self.value}; expected {self.expected} (limit {self.limit!r} of this session)"
 
 
 class SafetyStop(RemoteError):
@@ -35,9 +63,27 @@ class SafetyStop(RemoteError):
         cause: Name of the stop, such as "protective stop".
     """
 
-    def __init__(self, text: str, cause: str) -> None:
+    def __init__(self, text: str, cause: str, explain: Callable[[], StopExplanation] | None = None) -> None:
         super().__init__(text, cause)
         self.cause = cause
+        self._explain = explain
+
+    @property
+    def explanation(self) -> StopExplanation | None:
+        """Why the robot stopped, from the data of the last seconds; None if this error contains no data.
+
+        The controller reports its code up to a second after the stop. Until then, the explanation can change. To wait
+        for the code, use `robot.safety.explain()`. The explanation is lost when the error is pickled.
+        """
+        return None if self._explain is None else self._explain()
+
+    def __copy__(self) -> SafetyStop:
+        copied = type(self)(*self.args)
+        copied.__dict__.update(self.__dict__)
+        return copied
+
+    def __reduce__(self) -> tuple[type[SafetyStop], tuple[object, ...]]:
+        return type(self), self.args
 
     def __str__(self) -> str:
         return str(self.args[0])

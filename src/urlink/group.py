@@ -119,6 +119,9 @@ class Group(StrictAttributes):
                 raise BadValue(f"{trajectory!r} is not a Trajectory")
             motions = robot.motion
             trajectory.check(robot.identity.arm)
+            limited = motions._limited("follow")
+            if limited is not None:
+                limited.check_trajectory(trajectory)
             trajectory.check(near=motions._context.state().q_target, within=tolerances.start)
             timer = common.member(robot.clock.to_local, 1.0 / robot.firmware.rate)
             servoing = motions._servoing(watchdog, lookahead_time, gain)

@@ -27,14 +27,17 @@ from .session.address import RecordingAddress, RobotAddress, SimulatorAddress, p
 from .session.connect_options import ConnectOptions, takes_connect_options
 from .session.identity import Identity, KnownIdentity
 from .session.robot_clock import RobotClock
+from .session.session_limits import SessionLimits
 from .session.source import Source, networked, recorded
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
     from typing_extensions import Self
 
     from linkcore.recording.recorder import Recorder
 
     from .arm.kinematics import Arm
+    from .arm.payload import MeasuredPayload
     from .arm.vectors import Numbers
     from .command.interpreter import Interpreter
     from .command.io import IO
@@ -43,8 +46,10 @@ if TYPE_CHECKING:
     from .motion import Freedrive, Motions
     from .motion.control import Control
     from .motion.motions import LinkName
+    from .motion.payload_measurement import PayloadMeasurement
     from .motion.points.points import Points
     from .motion.teaching import TaughtPoint, Teaching
+    from .motion.wrench import WrenchStream
     from .protocol.dashboard.client import Dashboard
     from .protocol.gripper.client import Gripper
     from .protocol.tool_serial import ToolSerial
@@ -108,6 +113,9 @@ def connect(options: ConnectOptions) -> Robot:
         isolate: Whether to read the real-time interface in a dedicated process. The newest state is then available at
             any time, even if your program holds the lock of the Python interpreter (GIL) for a long time. Not supported
             on Windows.
+        limits: Limits for all commands of this connection, a `SessionLimits`: speeds, a box for the tool, the speed
+            slider, and the allowed kinds of motion. A command that would exceed a limit raises `LimitExceeded`. The
+            limits are not a safety function.
         points: Path of the JSON file for `robot.points`. The first taught point creates the file. If None,
             `robot.points` raises `LocalError`.
 
@@ -181,12 +189,14 @@ def assemble(
         from .motion.control import Control
 
         peers = peers_of(place) if controller is None else ()
-        return Control(options, place, peers, robot.primary, robot.realtime, robot._who, _rtde_of(robot))
+        return Control(options, place, peers, robot.primary, robot.realtime, robot._who, _rtde_of(robot), source.sent)
 
     if options.read_only:
         refusal = f"{address} was connected with read_only=True, so it cannot be commanded"
         return Robot(address, source, controller, refusal=refusal, known=known, points=options.points)
-    return Robot(address, source, controller, known=known, control=control, points=options.points)
+    return Robot(
+        address, source, controller, known=known, control=control, limits=options.limits, points=options.points
+    )
 
 
 def peers_of(place: RobotAddress) -> tuple[Hashable, ...]:
@@ -224,8 +234,10 @@ class Robot(StrictAttributes, Closing):
         refusal: str = "",
         known: Identity | None = None,
         control: Callable[[Robot], Control] | None = None,
+        limits: SessionLimits | None = None,
         points: str | os.PathLike[str] | None = None,
     ) -> None:
+        self._limits = limits
         self.address = address
         self._controller = controller
         self._make_control = control
@@ -272,7 +284,9 @@ class Robot(StrictAttributes, Closing):
             from .rtde import Rtde
 
             who = self._who  # a reference to `self` would be a cycle, because `self` holds the new object
-            made = Rtde(self.address, self._source, lambda: who.identity.firmware, refusal=self._refusal)
+            made = Rtde(
+                self.address, self._source, lambda: who.identity.firmware, refusal=self._refusal, limits=self._limits
+            )
             rtde = self._rtde.keep(made)
             if self._is_closed:
                 rtde.close(0.0)
@@ -440,7 +454,7 @@ class Robot(StrictAttributes, Closing):
 
     def set_payload(
         self,
-        mass: float,
+        mass: float | MeasuredPayload,
         cog: Sequence[float] | None = None,
         inertia: Sequence[float] | None = None,
         *,
@@ -451,7 +465,8 @@ class Robot(StrictAttributes, Closing):
 
         Args:
             mass: Mass in kg, at most 25 % above the payload in the data sheet of the arm. A UR5e has the limit of the
-                UR7e, because both arms report the same robot type.
+                UR7e, because both arms report the same robot type. The result of `measure_payload` sets its mass and
+                its centre of gravity.
             cog: Centre of gravity in the flange frame, shape (3,), in m, each coordinate within 1 m. CB2 has no such
                 setting.
             inertia: Moments of inertia about the centre of gravity: xx, yy, zz, xy, xz, yz, in kg m². Firmware 5.10 or
@@ -462,13 +477,152 @@ class Robot(StrictAttributes, Closing):
                 Firmware before 5.10 does not show the payload. With None, the call does not wait.
 
         Raises:
-            BadValue: If a number is out of range, or this firmware does not support the setting. Nothing is sent.
+            BadValue: If a number is out of range, this firmware does not support the setting, or a measured centre is
+                unknown. Nothing is sent.
             NotRunning: If the robot is not running, or its state is unknown. Nothing is sent.
             NotConfirmed: If the robot does not show the payload in time. The message names the likely cause: an
                 e-Series in local control.
             LocalError: If called in a callback subscribed with ``inline=True``, unless `confirm` is None.
         """
+        from .arm.payload import MeasuredPayload
+
+        if isinstance(mass, MeasuredPayload):
+            if cog is not None:
+                raise BadValue("cog was given together with a measured payload, which has its own centre of gravity")
+            mass, cog = mass.setting
         self._commanded().settings.payload(mass, cog, inertia, confirm, transition_time)
+
+    def measure_payload(
+        self,
+        wrists: ArrayLike,
+        *,
+        may_move: bool = False,
+        box: ArrayLike | None = None,
+        postures: int = 8,
+        speed: float = 0.3,
+        acceleration: float = 0.5,
+        rest: float = 1.0,
+        set_payload: Sequence[float] | None = None,
+        gravity: Sequence[float] = (0.0, 0.0, 9.82),
+        timeout: float = 300.0,
+        on_posture: Callable[[int], object] | None = None,
+    ) -> MeasuredPayload:
+        """Measure mass, centre of gravity and offset of the force sensor. **The arm moves.**
+
+        The wrist joints turn the tool to several postures, and back to the current one. The other joints stay at their
+        positions. The readings are those of the force sensor in the wrist (e-Series and later). Arms of CB3 have no
+        such sensor. For these arms, the readings are the joint currents, and the intervals are wider. Nothing except
+        the payload may touch the tool. Collisions are not checked.
+
+        If the call is refused because of `may_move`, the message names the part of the space through which the TCP
+        moves.
+
+        Args:
+            wrists: Largest angles of wrists 1, 2 and 3 from the current posture, one number or shape (3,), in rad.
+            may_move: Consent that the arm moves automatically within these limits.
+            box: Lower and upper corner of a box in the base frame, shape (2, 3), in m, that the TCP and the flange do
+                not leave; None for no box.
+            postures: Number of postures, 6 to 10.
+            speed: Speed of the wrist that moves furthest, in rad/s.
+            acceleration: Acceleration of this wrist, in rad/s².
+            rest: Time of each reading, in s.
+            set_payload: Mass in kg and centre in m, four numbers, that are set on the controller. It is needed on
+                firmware before 5.10, which does not show them in each state.
+            gravity: See `set_gravity`.
+            timeout: Maximum time for the measurement, in s.
+            on_posture: Function that is called with the number of each posture after its reading, in this thread.
+
+        Raises:
+            BadValue: If `may_move` is not True, an argument is invalid, or no postures within the limits determine the
+                payload. Nothing is sent. Also raised after the motion if the readings do not determine it; the message
+                names the quantity and the kind of posture that helps.
+            Cancelled: If a program runs or is paused, the arm moves, or a limit was exceeded. The arm brakes.
+            LinkTimeout: If the measurement does not end in time. The arm brakes.
+            SafetyStop, NotRunning: If the arm may not be moved now.
+        """
+        measurement = self._payload_measurement(postures, rest, set_payload, gravity, timeout, on_posture)
+        return measurement.automatic(wrists, box, speed, acceleration, may_move)
+
+    def measure_payload_by_hand(
+        self,
+        *,
+        postures: int = 8,
+        rest: float = 1.0,
+        posture_timeout: float = 60.0,
+        set_payload: Sequence[float] | None = None,
+        gravity: Sequence[float] = (0.0, 0.0, 9.82),
+        timeout: float = 600.0,
+        on_posture: Callable[[int], object] | None = None,
+        watchdog: float = 0.5,
+        link: LinkName = "reverse",
+    ) -> MeasuredPayload:
+        """Measure the payload in postures to which a person moves the arm in freedrive.
+
+        A reading begins when the arm is at rest, and the tool has turned by 20 degrees or more from all earlier
+        postures. The person must then release the tool, because a hand on it would be measured as well. The arm needs a
+        force sensor.
+
+        Args:
+            postures, rest, set_payload, gravity, timeout: See `measure_payload`.
+            posture_timeout: Maximum time until the next posture is read, in s.
+            on_posture: Function that is called with the number of each posture after its reading, in this thread.
+            watchdog, link: See `freedrive`.
+
+        Raises:
+            BadValue: If an argument is invalid, or the postures do not determine the payload; see `measure_payload`.
+            LocalError: If the arm has no force sensor. See also `freedrive`.
+            LinkTimeout: If a posture does not come in time. Freedrive ends.
+            Cancelled, SafetyStop, NotRunning: See `measure_payload`.
+        """
+        measurement = self._payload_measurement(postures, rest, set_payload, gravity, timeout, on_posture)
+        return measurement.by_hand(lambda: self.freedrive(watchdog=watchdog, link=link), posture_timeout)
+
+    def _payload_measurement(
+        self,
+        postures: int,
+        rest: float,
+        set_payload: Sequence[float] | None,
+        gravity: Sequence[float],
+        timeout: float,
+        on_posture: Callable[[int], object] | None,
+    ) -> PayloadMeasurement:
+        from .motion.payload_measurement import PayloadMeasurement
+
+        arm = self.kinematics
+        return PayloadMeasurement(
+            self.motion,
+            self.realtime,
+            self.primary,
+            arm,
+            arm.model.generation == "e",
+            postures=postures,
+            rest=rest,
+            set_payload=set_payload,
+            gravity=gravity,
+            timeout=timeout,
+            on_posture=on_posture,
+        )
+
+    def wrench(self, payload: MeasuredPayload, frame: Numbers | str = "tcp") -> WrenchStream:
+        """Return a stream of the wrench on the tool, without the weight of the payload and the offset of the sensor.
+
+        The wrench is what the surroundings exert on the tool, in N and Nm. The raw wrench is next to it. If the payload
+        on the controller changes (`set_payload`), the stream follows it on firmware 5.10 or later. After `set_tcp`,
+        make a new stream. After the sensor was zeroed, call `zero` of the stream.
+
+        Args:
+            payload: Result of `measure_payload` or `measure_payload_by_hand` on an arm with a force sensor.
+            frame: "tcp" for the TCP and its axes; "base" for the axes of the base and torques about the TCP, as in
+                `tcp_force`; or a pose in the base frame, shape (6,), for its axes and torques about its origin.
+
+        Raises:
+            BadValue: If the frame is invalid, or the payload was measured without a force sensor.
+            LocalError: If the arm is unknown.
+            LinkTimeout, RemoteError: If no state arrives, so that the TCP is unknown.
+        """
+        from .motion.wrench import WrenchStream
+
+        return WrenchStream(self.realtime, self.kinematics, payload, frame)
 
     def set_gravity(self, acceleration: Sequence[float]) -> None:
         """Set the direction of gravity, for an arm on a wall, a ceiling or a moving base. Motions continue.

@@ -71,7 +71,14 @@ from .arm.vectors import JOINTS as JOINTS, FloatArray as FloatArray, six as six
 
 # For commands that connect to a robot.
 from .cli.monitor import with_motion as with_motion
-from .cli.options import ADDRESS as ADDRESS, address as address, agrees as agrees, connected as connected, tell as tell
+from .cli.options import (
+    ADDRESS as ADDRESS,
+    LIMITS as LIMITS,
+    address as address,
+    agrees as agrees,
+    connected as connected,
+    tell as tell,
+)
 
 # For motions.
 from .motion.motions import LinkName as LinkName

@@ -202,6 +202,17 @@ def untouched(robot: Robot) -> None:
         robot.motion.until_contact([0, 0, next(_directions)], speed=0.05, distance=0.001, wait=True)
 
 
+def payload_refused(robot: Robot) -> None:
+    """Call it without consent, so that the arm stays in place for any number of calls."""
+    with contextlib.suppress(urlink.BadValue):
+        robot.measure_payload(1.0)
+
+
+def payload_by_hand(robot: Robot) -> None:
+    with contextlib.suppress(urlink.LinkTimeout):
+        robot.measure_payload_by_hand(rest=0.1, posture_timeout=1.0, watchdog=WATCHDOG)
+
+
 def connected(address: str) -> None:
     with urlink.connect(address) as robot:
         robot.realtime.wait()
@@ -215,6 +226,8 @@ _directions = itertools.cycle([1, -1])
 CALLS: dict[str, Callable[[Robot], object]] = {
     "Robot.freedrive": Within(lambda robot: robot.freedrive(watchdog=WATCHDOG)),
     "Robot.interpreter": Within(lambda robot: robot.interpreter()),
+    "Robot.measure_payload": payload_refused,
+    "Robot.measure_payload_by_hand": payload_by_hand,
     "Robot.popup": lambda robot: robot.popup("x"),
     "Robot.set_gravity": lambda robot: robot.set_gravity((0, 0, -9.82)),
     "Robot.set_payload": lambda robot: robot.set_payload(0.5, (0, 0, 0.01), confirm=CONFIRM),

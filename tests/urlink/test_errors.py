@@ -8,17 +8,17 @@ import pytest
 
 from linkcore.errors import LinkError, LocalError, RemoteError
 from urlink import errors
-from urlink.errors import CompileError, NotEnabled, NotOffered, NotRunning, SafetyStop, ScriptFailed
+from urlink.errors import CompileError, LimitExceeded, NotEnabled, NotOffered, NotRunning, SafetyStop, ScriptFailed
 
 OWN = {name: each for name, each in vars(errors).items() if getattr(each, "__module__", None) == errors.__name__}
 
 
-def test_errors_are_remote_errors_except_not_offered() -> None:
+def test_errors_are_remote_errors_except_local_ones() -> None:
     assert NotEnabled in OWN.values()
-    # A call that only another library offers is not an error of the peer.
-    (local,) = (each for each in OWN.values() if issubclass(each, LocalError))
-    assert local is NotOffered
-    assert all(issubclass(each, RemoteError) and not issubclass(each, LocalError) for each in {*OWN.values()} - {local})
+    # A call that only another library offers, or that exceeds a limit of the session, is not an error of the peer.
+    local = {each for each in OWN.values() if issubclass(each, LocalError)}
+    assert local == {NotOffered, LimitExceeded}
+    assert all(issubclass(each, RemoteError) and not issubclass(each, LocalError) for each in {*OWN.values()} - local)
 
 
 @pytest.mark.parametrize(

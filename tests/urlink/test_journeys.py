@@ -71,6 +71,7 @@ def test_move_joints_uses_only_the_listed_modules() -> None:
         met = modules_met(lambda: robot.motion.move_joints(turned(0.2)))
     assert met >= SUBSCRIBING
     assert met - LOOKED_UP - SUBSCRIBING == {
+        "urlink.motion.context",  # limits of the session
         "urlink.motion.motions",  # arguments
         "urlink.script.commands",  # text of the program
         "urlink.script.wrapping",  # program around the text

@@ -25,6 +25,8 @@ pytestmark = pytest.mark.simulated_time
 _REQUIRED: dict[str, tuple[Any, ...]] = {
     "force_mode": ("base", [0, 0, 1, 0, 0, 0], [0.0] * 6, [0.05] * 6),
 }
+#: Name of a method that is not a block -> options that make it short.
+_SHORT: dict[str, dict[str, float]] = {"measure_payload_by_hand": {"rest": 0.1, "posture_timeout": 1.0}}
 #: Methods that take `watchdog`.
 _WATCHED = [
     (cls, name)
@@ -60,8 +62,7 @@ def _texts(sent: list[str], cls: type, name: str, watchdog: float) -> Iterator[s
             required = (urlink.Trajectory.from_arrays([0.0, 0.5, 1.0], np.array([q] * 3)),)
         part = robot if cls is Robot else robot.motion
         sent.clear()
-        made = getattr(part, name)(*required, watchdog=watchdog)
-        with contextlib.suppress(LinkError), made:
+        with contextlib.suppress(LinkError), getattr(part, name)(*required, watchdog=watchdog, **_SHORT.get(name, {})):
             pass
     yield from sent
 

@@ -40,6 +40,7 @@ NAMES = [
     "InputInUse",
     "Interpreter",
     "Joint",
+    "LimitExceeded",
     "Linear",
     "LinkError",
     "LinkTimeout",
@@ -73,8 +74,12 @@ NAMES = [
     "ScriptError",
     "ScriptFailed",
     "Scripts",
+    "SessionLimits",
     "Simulation",
     "StatementDiscarded",
+    "StopCause",
+    "StopCurves",
+    "StopExplanation",
     "Stream",
     "Subscription",
     "Table",
@@ -140,8 +145,9 @@ HANDLE = "add_done_callback cancel done error name phase wait"
 #: Attributes and methods of the objects that users hold, as tab completion shows them.
 SURFACES = {
     "robot": """address clock close controller dashboard firmware freedrive gripper identity interpreter io kinematics
-        model motion points popup primary realtime record registers rtde safety script secondary set_gravity set_payload
-        set_speed_slider set_tcp teach tool_serial view zero_force_sensor""",
+        measure_payload measure_payload_by_hand model motion points popup primary realtime record registers rtde safety
+        script secondary set_gravity set_payload set_speed_slider set_tcp teach tool_serial view wrench
+        zero_force_sensor""",
     "robot.tool_serial": "ask close discard read write",
     "robot.gripper": """activate close deactivate get move object_detected open position position_of set status stop
         wait""",
@@ -167,7 +173,7 @@ SURFACES = {
         set_analog_out set_configurable_digital_out set_digital_out set_flag set_tool_communication
         set_tool_digital_out set_tool_voltage tool_analog_in tool_digital_in tool_digital_out tool_voltage
         wait_configurable_digital_in wait_digital_in wait_tool_digital_in""",
-    "robot.safety": """cause enable is_enabled mode on_stop policy refusal robot_mode wait_enabled wait_for_stop
+    "robot.safety": """cause enable explain is_enabled mode on_stop policy refusal robot_mode wait_enabled wait_for_stop
         wait_until_clear""",
     "robot.dashboard": """add_to_log brake_release clear_operational_mode close close_popup close_safety_popup
         download_program generate_flight_report generate_support_file is_in_remote_control is_program_saved load
@@ -189,8 +195,8 @@ SURFACES = {
     "robot.controller.gripper": """exchange fault holds_object is_active is_connected place position registers reply
         take_away""",
     "robot.controller.tool_serial": "device exchange greeting is_offered next_cycle packets receiver skip",
-    "robot.controller.faults": """append clear cut emergency_stop garbage heal merge power_off power_on protective_stop
-        reboot rtde_data_before_start rtde_hello rtde_late_data rtde_no_data rtde_reboot_at_request
+    "robot.controller.faults": """append clear cut drag emergency_stop garbage heal merge power_off power_on
+        protective_stop reboot rtde_data_before_start rtde_hello rtde_late_data rtde_no_data rtde_reboot_at_request
         rtde_refuse_protocol_2 rtde_refuse_start rtde_stale_inputs rtde_text rtde_text_before_reply
         rtde_text_instead_of_reply safeguard_stop split stall unknown_package unknown_sub_package""",
 }
@@ -199,8 +205,9 @@ SURFACES = {
 #: Attributes and methods of an asyncio robot and its parts.
 ASYNC_SURFACES = {
     "robot": """address call clock close controller dashboard firmware freedrive gripper identify identity interpreter
-        io kinematics model motion points popup primary realtime record registers rtde safety script secondary
-        set_gravity set_payload set_speed_slider set_tcp teach tool_serial view zero_force_sensor""",
+        io kinematics measure_payload measure_payload_by_hand model motion points popup primary realtime record
+        registers rtde safety script secondary set_gravity set_payload set_speed_slider set_tcp teach tool_serial view
+        wrench zero_force_sensor""",
     "robot.realtime": """close connection description failure history iterate join latest name of plot start
         stats stream subscribe wait wait_until""",
     "robot.realtime.of(urlink.packets.RealtimeState)": "history iterate latest plot subscribe wait wait_until",
@@ -234,6 +241,14 @@ DEFAULTS = {
     "robot.close": "timeout=2.0",
     "robot.freedrive": "axes=None, frame='base', watchdog=0.5, link='reverse'",
     "robot.interpreter": "start_timeout=10.0, finish_timeout=60.0, on_text=None",
+    "robot.measure_payload": (
+        "may_move=False, box=None, postures=8, speed=0.3, acceleration=0.5, rest=1.0, set_payload=None, "
+        "gravity=(0.0, 0.0, 9.82), timeout=300.0, on_posture=None"
+    ),
+    "robot.measure_payload_by_hand": (
+        "postures=8, rest=1.0, posture_timeout=60.0, set_payload=None, gravity=(0.0, 0.0, 9.82), timeout=600.0, "
+        "on_posture=None, watchdog=0.5, link='reverse'"
+    ),
     "robot.popup": "title='Popup', warning=False, error=False",
     "robot.record": "interfaces=('realtime', 'primary')",
     "robot.set_payload": "cog=None, inertia=None, transition_time=0.0, confirm=1.0",
@@ -243,6 +258,7 @@ DEFAULTS = {
         "digital_input=None, bank='standard', button=False, on_point=None, axes=None, frame='base', watchdog=0.5, "
         "link='reverse'"
     ),
+    "robot.wrench": "frame='tcp'",
     "robot.view": "plots=('qd_actual', 'tcp_force'), urdf=None, jog=False, port=0",
     "robot.motion.follow": (
         "low_bandwidth=False, path_tolerance=None, goal_tolerance=0.01, goal_time=1.0, start_tolerance=0.05, "
@@ -283,6 +299,7 @@ DEFAULTS = {
     "robot.io.wait_digital_in": "on=True, timeout=5.0",
     "robot.io.wait_tool_digital_in": "on=True, timeout=5.0",
     "robot.script.run": "wait=False, detached=False, on_text=None",
+    "robot.safety.explain": "timeout=1.0",
     "robot.safety.wait_enabled": "timeout=60.0",
     "robot.safety.wait_until_clear": "timeout=60.0",
 }

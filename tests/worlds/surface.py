@@ -59,8 +59,8 @@ PARTS: Mapping[str, type] = {
     "primary": Stream,
     "secondary": Stream,
 }
-#: Attributes of a robot that have no methods to try: values, and the simulator itself.
-VALUES = {"clock", "controller", "firmware", "identity", "kinematics", "model"}
+#: Attributes of a robot that have no methods to try: values, the simulator itself, and the points, which need a file.
+VALUES = {"clock", "controller", "firmware", "identity", "kinematics", "model", "points"}
 #: Class of the entered block, by the action that opens it.
 BLOCKS: Mapping[str, type] = {
     "motion.servo": Servo,
@@ -80,6 +80,9 @@ MOVING_BLOCKS = tuple(name for name in BLOCKS if not name.startswith("rtde"))
 #: Actions that are not tried, with the reason.
 LEFT_OUT: Mapping[str, str] = {
     "robot.view": "it opens a web server and windows",
+    "robot.measure_payload": "it takes a minute; tests of the payload cover it",
+    "robot.measure_payload_by_hand": "it needs a person; tests of the payload cover it",
+    "robot.wrench": "it needs a measured payload; tests of the wrench cover it",
     "robot.record": "it writes files; tests of recordings cover it",
     "realtime.plot": "it needs matplotlib",
     "primary.plot": "it needs matplotlib",
@@ -384,6 +387,8 @@ DRAWERS: Mapping[str, Drawer] = MappingProxyType(
         "lower": lambda d: False,
         "request": lambda d: b"\x01\x03",
         "data": lambda d: b"\x01\x03",
+        # It applies only to a point by name.
+        "keep": lambda d: None,
         "size": lambda d: d.chance.randint(1, 4),
     }
 )

@@ -135,10 +135,14 @@ class TcpTransport:
         # the same time could close the descriptor of another connection.
         self._owned: MadeOnce[socket.socket] = MadeOnce()
         self._receive_timeout = silence  # current timeout of the socket
+        #: Function that is called with the bytes of each successful call of `send_some`; None for none.
+        self.sent: Callable[[bytes | memoryview], object] | None = None
 
     def another(self) -> TcpTransport:
         """Return a new transport to the same port, which is not connected."""
-        return TcpTransport(self.host, self.port, silence=self.silence, refused=self._refused)
+        other = TcpTransport(self.host, self.port, silence=self.silence, refused=self._refused)
+        other.sent = self.sent
+        return other
 
     def open(self, timeout: float) -> None:
         """Connect within `timeout` seconds.
@@ -291,7 +295,10 @@ class TcpTransport:
         try:
             if not flags and not _has_room(connection, 0.0):
                 return 0
-            return connection.send(data, flags)
+            count = connection.send(data, flags)
+            if self.sent is not None:
+                self.sent(data[:count])
+            return count
         except BlockingIOError:  # there is no room, or another thread has just taken it
             return 0
         except OSError as error:

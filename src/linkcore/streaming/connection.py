@@ -34,6 +34,7 @@ from .connection_life import (
     LifeEvent,
 )
 from .fanout import FanOut, Sink
+from .flight_record import FlightRecord
 from .packet_queue import PacketQueue, Policy
 from .receiver import Receiver
 from .scheduling import urgent
@@ -57,9 +58,11 @@ class Connection:
         backoff: Waits between the attempts to reconnect.
         timeout: Maximum time for connecting, in s.
         silence: Seconds without a packet after which the connection is considered lost; None for no limit.
+        flight: Record of the last received bytes; None to keep no record.
 
     Attributes:
         silence: Monitor of the silence of the peer.
+        flight: See the argument `flight`.
     """
 
     def __init__(
@@ -72,9 +75,11 @@ class Connection:
         backoff: Backoff | None = None,
         timeout: float = 5.0,
         silence: float | None = 2.0,
+        flight: FlightRecord | None = None,
     ) -> None:
         self.name = name
         self.fan_out = fan_out
+        self.flight = flight
         self.counters = StreamCounters()
         self.silence = SilenceMonitor(name, silence)
         self._transport = transport
@@ -382,13 +387,16 @@ class Connection:
     def _opened(self) -> Receiver:
         """Publish that the transport is open; return the receiver of the new connection."""
         protocol = self._protocol()
+        if self.flight is not None:
+            self.flight.keep(b"")
+            self.flight.keep(clock.now())
         self.counters.connected(protocol, self._transport.round_trip)
         with self._changed:
             news = self._life.fire(LifeEvent.OPEN)
             self._life.attempt.has_opened = True
         self._tell(news)
         self._settle()
-        return Receiver(self.name, protocol, self.counters)
+        return Receiver(self.name, protocol, self.counters, self.flight)
 
     def _settle(self) -> None:
         with self._changed:

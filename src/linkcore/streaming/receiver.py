@@ -14,6 +14,7 @@ from ..clock import Stamp
 from ..errors import PacketError
 from ..text import printable
 from ..wire.framing import PacketProtocol, is_strict, strictly
+from .flight_record import FlightRecord
 from .statistics import StreamCounters
 
 _log = logging.getLogger(__name__)
@@ -29,9 +30,14 @@ class Receiver:
         name: Name of the stream, used in the log.
         protocol: Protocol of this connection.
         counters: Counters of the stream. They outlive the connection.
+        flight: Record of the received bytes; None to keep no record.
     """
 
-    def __init__(self, name: str, protocol: PacketProtocol, counters: StreamCounters) -> None:
+    def __init__(
+        self, name: str, protocol: PacketProtocol, counters: StreamCounters, flight: FlightRecord | None = None
+    ) -> None:
+        self._flight = flight
+        self._keep = None if flight is None else flight.keep
         self._name = name
         self._protocol = protocol
         self._feed = protocol.framer.feed
@@ -55,17 +61,23 @@ class Receiver:
         counters.bytes += len(data)
         frames = self._feed(data)
         if not frames:
+            self._keep_batch(data, stamp)
             return ()
         count = len(frames)
         counters.received += count
         protocol = self._protocol
         cycles = protocol.cycles
         if count != 1:
+            self._keep_batch(data, stamp)
             packets = self._many(frames, stamp)
         else:
             # Nearly always one packet has arrived, and it follows the last one. This case is detected without a call of
             # Python code, because a branch separate from `_many` takes about 850 instructions fewer.
             (frame,) = frames
+            keep = self._keep
+            if keep is not None:
+                keep(data)
+                keep(stamp[0])
             if cycles is not None:
                 moment = cycles.time(frame)[0] if len(frame) == cycles.size else _NO_TIME
                 if 0.0 < moment - cycles.last <= cycles.at_most:
@@ -82,6 +94,14 @@ class Receiver:
         if now >= counters.due:
             counters.look(now, cycles)
         return packets
+
+    def _keep_batch(self, data: bytes, stamp: Stamp) -> None:
+        """Record a chunk that is not one packet."""
+        flight = self._flight
+        if flight is not None:
+            flight.keep(data)
+            flight.keep(stamp[0])
+            flight.batch(len(data))
 
     def _many(self, frames: Sequence[bytes], stamp: Stamp) -> list[Any]:
         protocol, packets = self._protocol, []

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from linkcore.recording.recorder import Recorder
 
     from ..arm.kinematics import Arm
+    from ..arm.payload import MeasuredPayload
+    from ..arm.vectors import Numbers
     from ..command.interpreter import Interpreter
     from ..motion.teaching import Teaching
     from ..simulator import Controller
@@ -48,6 +50,7 @@ if TYPE_CHECKING:
         AsyncScripts,
         AsyncTeaching,
         AsyncToolSerial,
+        AsyncWrenchStream,
     )
 
 P = ParamSpec("P")
@@ -242,6 +245,8 @@ class AsyncRobot(AwaitedPart[threaded.Robot]):
         return AsyncRegisters(self._part.registers, self._workers)
 
     set_payload = awaited(threaded.Robot.set_payload)
+    measure_payload = awaited(threaded.Robot.measure_payload)
+    measure_payload_by_hand = awaited(threaded.Robot.measure_payload_by_hand)
     set_gravity = awaited(threaded.Robot.set_gravity)
     set_tcp = awaited(threaded.Robot.set_tcp)
     set_speed_slider = awaited(threaded.Robot.set_speed_slider)
@@ -251,6 +256,12 @@ class AsyncRobot(AwaitedPart[threaded.Robot]):
     teach = block(threaded.Robot.teach, _teaching)
     interpreter = block(threaded.Robot.interpreter, _interpreter)
     view = block(threaded.Robot.view)
+
+    async def wrench(self, payload: MeasuredPayload, frame: Numbers | str = "tcp") -> AsyncWrenchStream:
+        """Return a stream like `Robot.wrench`. Iterate over it with ``async for``."""
+        from .parts import AsyncWrenchStream
+
+        return AsyncWrenchStream(await self.call(self._part.wrench, payload, frame), self._workers)
 
     async def call(self, function: Callable[P, T], *arguments: P.args, **options: P.kwargs) -> T:
         """Call a blocking function in a thread of the robot.

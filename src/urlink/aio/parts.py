@@ -5,7 +5,7 @@ The module is imported when the first part is used, so a program that only reads
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from linkcore.aio.async_stream import AsyncFeed, AsyncStream
@@ -14,10 +14,11 @@ from ..command.interpreter import Interpreter, InterpreterState
 from ..command.io import IO
 from ..command.safety import Safety
 from ..command.scripts import Scripts
-from ..motion import Motions, Points, PointStream, Teaching
+from ..motion import Motions, Points, PointStream, Teaching, Wrench, WrenchStream
 from ..motion.points.point import Point
 from ..protocol.dashboard.client import Dashboard
 from ..protocol.gripper.client import Gripper
+from ..protocol.realtime.packets import RealtimeState
 from ..protocol.rtde.recipes import Outputs
 from ..protocol.tool_serial import ToolSerial
 from ..rtde import Inputs, OutputStream, Registers, Rtde
@@ -46,6 +47,7 @@ __all__ = [
     "AsyncStream",
     "AsyncTeaching",
     "AsyncToolSerial",
+    "AsyncWrenchStream",
 ]
 
 T = TypeVar("T", bound=Outputs)
@@ -137,6 +139,7 @@ class AsyncSafety(AwaitedPart[Safety]):
     __slots__ = ()
 
     enable = awaited(Safety.enable)
+    explain = awaited(Safety.explain)
     on_stop = awaited(Safety.on_stop)
     wait_enabled = awaited(Safety.wait_enabled)
     wait_for_stop = awaited(Safety.wait_for_stop)
@@ -305,6 +308,28 @@ class AsyncTeaching(AwaitedPart[Teaching]):
 
     taught = attribute(Teaching, lambda part: part.taught)
     freedrive = attribute(Teaching, lambda part: part.freedrive)
+
+
+class AsyncWrenchStream(AwaitedPart[WrenchStream]):
+    """Awaitable version of `WrenchStream`; iterate with ``async for``."""
+
+    __slots__ = ()
+
+    wait = awaited(WrenchStream.wait)
+    wait_until = awaited(WrenchStream.wait_until)
+    zero = awaited(WrenchStream.zero)
+
+    payload = attribute(WrenchStream, lambda part: part.payload)
+    frame = attribute(WrenchStream, lambda part: part.frame)
+    latest = attribute(WrenchStream, lambda part: part.latest)
+
+    def compensate(self, state: RealtimeState) -> Wrench:
+        """Return the wrench of a state, like `WrenchStream.compensate`."""
+        return self._part.compensate(state)
+
+    async def __aiter__(self) -> AsyncIterator[Wrench]:
+        async for state in AsyncStream(self._part._realtime):
+            yield self._part.compensate(state)
 
 
 class AsyncRegisters(AwaitedPart[Registers]):

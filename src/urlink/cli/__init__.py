@@ -26,6 +26,7 @@ _COMMANDS: dict[str, str | Plugin] = {
     "record": "record",
     "replay": "replay",
     "plot": "plot",
+    "explain": "explain",
     "export": "export",
     "exercise": Plugin("urlink-accept", "move each joint slowly, for a recording"),
     "identify": Plugin("urlink-accept", "estimate the parameters of an arm from a recording"),

@@ -10,13 +10,14 @@ from linkcore.errors import LocalError
 from linkcore.text import printable
 
 from ..protocol.dashboard.commands import COMMANDS, COULD_NOT_UNDERSTAND
-from .options import ADDRESS, connected
+from .options import ADDRESS, LIMITS, connected
 
 
 @command(
     "dashboard",
     "send a dashboard command",
     *ADDRESS,
+    LIMITS,
     argument(
         "command",
         nargs="+",

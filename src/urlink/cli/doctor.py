@@ -135,7 +135,7 @@ def _has_rtde(robot: Robot) -> bool:
 
 
 def _of_robot(robot: Robot, duration: float, progress: ProgressBar) -> Iterator[Finding]:
-    looks: list[Callable[[Robot], Iterator[Finding]]] = [_identity, _modes, _remote_control, _inputs]
+    looks: list[Callable[[Robot], Iterator[Finding]]] = [_identity, _modes, _stop, _remote_control, _inputs]
     for look in looks:
         progress(text=f"checking the {_topic(look)}")
         try:
@@ -241,6 +241,18 @@ def _modes(robot: Robot) -> Iterator[Finding]:
         yield Finding("look", "program", "a program is running", "a motion from this computer would end it")
     else:
         yield Finding("ok", "program", "no program is running")
+
+
+def _stop(robot: Robot) -> Iterator[Finding]:
+    """Explain the active stop, or a stop during this check."""
+    if robot.safety.cause is None:
+        return
+    found = robot.safety.explain()
+    if found is not None:
+        seen = str(found).rstrip(".")
+        lacking = f" (missing: {'; '.join(found.missing)})" if found.missing else ""
+        remedy = found.cause.remedy.rstrip(".")
+        yield Finding("BAD", "stop", seen + lacking, remedy[:1].lower() + remedy[1:])
 
 
 def _remote_control(robot: Robot) -> Iterator[Finding]:

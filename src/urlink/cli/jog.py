@@ -11,7 +11,7 @@ from linkcore.cli.terminal import Interruption
 
 from ..motion.servo.jog import FULL_SPEED, FrameName, Jog
 from ..robot import Robot
-from .options import ADDRESS, connected
+from .options import ADDRESS, LIMITS, connected
 from .packet_fields import joints_text
 
 #: Keys that move the six axes forward, and keys that move them backward.
@@ -42,6 +42,7 @@ def _hold(text: str) -> float:
     "jog",
     "move the arm with the keys of a terminal",
     *ADDRESS,
+    LIMITS,
     argument("--frame", choices=get_args(FrameName), default="joints", help="initial frame (default: joints)"),
     argument("--speed", type=_part, default=0.2, metavar="PART", help="part of full speed, 0.01 to 1 (default: 0.2)"),
     argument("--hold", type=_hold, default=0.6, metavar="S", help="move for S seconds after each key (default: 0.6)"),

@@ -10,8 +10,10 @@ from typing import Any, Literal
 
 from linkcore.cli import options, terminal
 from linkcore.cli.options import Row, argument, seconds
+from linkcore.errors import LocalError
 
 from ..robot import Robot, connect
+from ..session.session_limits import SessionLimits
 
 _ADDRESS = "host (192.168.56.101, ur://host?primary=40001), sim://, sim://ur10?firmware=3.4, or replay:///file"
 
@@ -38,8 +40,24 @@ def interface_of(choices: Sequence[str]) -> Row:
     )
 
 
+def _limits(text: str) -> SessionLimits:
+    try:
+        return SessionLimits.named(text)
+    except LocalError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+LIMITS = argument(
+    "--limits",
+    type=_limits,
+    metavar="FILE",
+    help="refuse commands beyond the limits in a JSON file, or in the ready profile 'teaching' (not a safety function)",
+)
+
+
 def connected(args: argparse.Namespace, address: str | None = None, **how: Any) -> Robot:
     """Connect to `address`, or by default to the address in `args`; see `linkcore.cli.options.connected`."""
+    how.setdefault("limits", getattr(args, "limits", None))
     return options.connected(partial(connect, timeout=args.connect_timeout, **how), args, address)
 
 

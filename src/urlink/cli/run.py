@@ -14,7 +14,7 @@ from linkcore.text import printable
 
 from ..errors import ScriptError
 from ..robot import Robot
-from .options import ADDRESS, connected, tell
+from .options import ADDRESS, LIMITS, connected, tell
 
 #: Timeout, in seconds, for stopping a program.
 _STOPPING = 5.0
@@ -24,6 +24,7 @@ _STOPPING = 5.0
     "run",
     "send a URScript program",
     *ADDRESS,
+    LIMITS,
     argument("file", metavar="FILE", help="file with the program; - for stdin"),
     argument("--timeout", type=seconds, metavar="S", help="stop the program after S seconds (default: never)"),
 )

@@ -17,7 +17,7 @@ from linkcore.names import plugins
 from ..robot import Robot
 from ..session.address import RobotAddress, SimulatorAddress, parse_address
 from ..session.connect_options import Policy
-from .options import CONNECT_TIMEOUT, connected, tell
+from .options import CONNECT_TIMEOUT, LIMITS, connected, tell
 
 #: Group of entry points for the adapters of installed distributions.
 GROUP = "urlink.serve"
@@ -56,6 +56,7 @@ _OPTIONS = (
         help="address and name of a robot; without NAME, the name is derived from the address",
     ),
     CONNECT_TIMEOUT,
+    LIMITS,
     argument("--read-only", action="store_true", help="serve only states, and accept no commands"),
     argument(
         "--require-enable",

@@ -13,7 +13,7 @@ from linkcore.errors import BadValue
 from ..motion.points.point_file import check_name
 from ..motion.teaching import Taught, TaughtPoint
 from ..robot import Robot
-from .options import ADDRESS, connected
+from .options import ADDRESS, LIMITS, connected
 from .packet_fields import joints_text
 
 #: Maximum time for playing the waypoints, in seconds.
@@ -30,6 +30,7 @@ def _axes(text: str) -> list[int]:
     "teach",
     "teach waypoints by hand, and play them",
     *ADDRESS,
+    LIMITS,
     argument("file", metavar="FILE", help="JSON file of the waypoints, or of the points with --point"),
     argument("--digital-input", type=int, metavar="N", help="standard digital input that also saves a waypoint"),
     argument("--button", action="store_true", help="move the arm with its own button; releasing it saves a waypoint"),

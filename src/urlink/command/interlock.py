@@ -7,13 +7,16 @@ safety modes that are not in any list.
 
 from __future__ import annotations
 
-from typing import NamedTuple, get_args
+from typing import TYPE_CHECKING, NamedTuple, get_args
 
 from linkcore.errors import BadValue, LinkError
 
 from ..errors import NotEnabled, NotRunning, SafetyStop
 from ..protocol.enums import MasterSafetyState, RobotMode, RobotModeCB2, SafetyMode
 from ..session.connect_options import STALE_AFTER, Policy
+
+if TYPE_CHECKING:
+    from ..diagnosis.flight import FlightRecorder
 
 _MAY_MOVE = (SafetyMode.NORMAL, SafetyMode.REDUCED)
 _CB2_STOPS = {
@@ -88,10 +91,12 @@ class Interlock:
 
     Attributes:
         stale_after: See the argument `stale_after`.
+        flight: Flight recorder, which explains stops; None for none.
     """
 
     def __init__(self, policy: Policy = "never", stale_after: float = STALE_AFTER) -> None:
         self.stale_after = stale_after
+        self.flight: FlightRecorder | None = None
         self._sources: dict[str, _Source] = {}
         self._was_clear = False
         self._was_enabled = False  # at least once since the policy was set
@@ -142,6 +147,9 @@ class Interlock:
     def _look(self) -> LinkError | None:
         refusal = self.refusal_to_continue()
         was_clear, self._was_clear = self._was_clear, refusal is None
+        flight = self.flight
+        if flight is not None and flight.active is not None and not isinstance(refusal, SafetyStop):
+            flight.end_stop()
         if refusal is not None:
             self._is_enabled = False
             if was_clear:
@@ -211,7 +219,10 @@ class Interlock:
 
     def _stop(self) -> SafetyStop | None:
         cause = self.cause
-        return None if cause is None else SafetyStop(f"the robot is stopped: {cause}", cause)
+        if cause is None:
+            return None
+        explain = None if self.flight is None else self.flight.stop(cause).explain
+        return SafetyStop(f"the robot is stopped: {cause}", cause, explain)
 
     def _absence(self) -> NotRunning | None:
         if not self._sources:

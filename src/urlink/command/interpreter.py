@@ -262,6 +262,7 @@ class Interpreters:
         firmware: Function that returns the current firmware of the controller.
         undos: Pending undos of the commands to this controller.
         timeout: Timeout for a connection, in seconds.
+        sent: Function that is called with the sent statements; None for none.
     """
 
     def __init__(
@@ -274,7 +275,9 @@ class Interpreters:
         firmware: Callable[[], Firmware],
         undos: PendingUndos,
         timeout: float,
+        sent: Callable[[bytes | memoryview], object] | None = None,
     ) -> None:
+        self._sent = sent
         self._host = host
         self._port = port
         self._programs = programs
@@ -312,13 +315,14 @@ class Interpreters:
             raise LocalError(f"firmware {firmware} has no interpreter mode; 5.10 or later is required")
         if self._port is None:
             raise LocalError("the controller does not serve interpreter mode")
-        connection = partial(_connection, self._host, self._port, self._firmware, self._timeout)
+        self._programs.allow("interpreter.execute")
+        connection = partial(_connection, self._host, self._port, self._firmware, self._timeout, self._sent)
         dialogue = connection()
         with self._opening:
             if self._is_closed:
                 raise Closed(f"the robot at {self._host} was closed")
             self._open = [each for each in self._open if not each.is_closed] + [dialogue]
-        life = self._programs.life("interpreter mode")
+        life = self._programs.life("interpreter mode", "interpreter.execute")
         undo = Undo(connection, partial(_undo_statements, life))
         interpreter = Interpreter(life, dialogue, self._channel, self._undos, undo, finish_timeout)
         receive = interpreter._receiver(self._callbacks, on_text)
@@ -352,9 +356,16 @@ class Interpreters:
             clock.sleep(min(_POLL, left))
 
 
-def _connection(host: str, port: int, firmware: Callable[[], Firmware], timeout: float) -> Dialogue:
+def _connection(
+    host: str,
+    port: int,
+    firmware: Callable[[], Firmware],
+    timeout: float,
+    sent: Callable[[bytes | memoryview], object] | None,
+) -> Dialogue:
     """Return a client of interpreter mode, which connects when it is first used."""
     transport = TcpTransport(host, port, silence=_REPLY, refused=lambda: refusal_hint(firmware()))
+    transport.sent = sent
     return Dialogue(transport, InterpreterProtocol, f"interpreter mode at {transport.name}", timeout)
 
 

@@ -38,6 +38,7 @@ from ..protocol.primary.robot_state import RobotModeData, RobotState
 from ..script import commands, wrapping
 from ..script.wrapping import Permission, StartPlace, Wrapped
 from ..session.identity import KnownIdentity
+from ..session.session_limits import SessionLimits
 from .channel import CommandChannel
 from .given_up import GivenUpEvent, GivenUpPhase, GivenUpProgram
 from .interlock import raise_if
@@ -122,6 +123,7 @@ class Programs:
             begin.
         who: Identity of the controller.
         clock: Monotonic clock, in seconds.
+        limits: Limits of the session; None if it has none.
     """
 
     def __init__(
@@ -136,6 +138,7 @@ class Programs:
         start_place: StartPlace,
         who: KnownIdentity,
         clock: Callable[[], float] = clock.now,
+        limits: SessionLimits | None = None,
     ) -> None:
         self._primary = primary
         self._channel = channel
@@ -146,6 +149,7 @@ class Programs:
         self._start_place = start_place
         self._who = who
         self._clock = clock
+        self._limits = limits
         self._token = os.urandom(2).hex()  # distinguishes these programs from programs of other processes
         self._numbers = itertools.count(1)
         self._start_tokens = itertools.count(int.from_bytes(os.urandom(4), "big"))
@@ -164,8 +168,22 @@ class Programs:
 
     # -- sending -----------------------------------------------------------------------------------
 
-    def life(self, name: str) -> Lifecycle:
-        """Return the life cycle of a program to be sent. By default, its brake stops the program."""
+    def allow(self, kind: str) -> None:
+        """Raise `LimitExceeded` if this session does not allow a kind of command."""
+        if self._limits is not None:
+            self._limits.allow(kind)
+
+    def life(self, name: str, kind: str | None = None) -> Lifecycle:
+        """Return the life cycle of a program to be sent. By default, its brake stops the program.
+
+        Args:
+            name: Name of the program or motion, used in messages.
+            kind: Kind of command that the session must allow; None for `name`.
+
+        Raises:
+            LimitExceeded: If this session does not allow this kind of command.
+        """
+        self.allow(kind or name)
         life = Lifecycle(name, self._callbacks, self._section.waiting)
         life.brake = lambda: self.stop(life)
         return life
@@ -231,6 +249,8 @@ class Programs:
                 raise_if(self._monitor.overtaken(life.order))
             run.sent = self._clock()
             self._runs[run.name] = run
+            if self._monitor.flight is not None:
+                self._monitor.flight.own(run.name)
             newest = self._newest()
             if newest is not run and newest is not None and not wrapped.is_secondary:
                 # A signal handler sent that program between these lines. It is the newer one, although sent first.

@@ -10,6 +10,7 @@ from linkcore.names import StrictAttributes
 
 from ..protocol.enums import RobotMode, RobotModeCB2, SafetyMode
 from ..session.connect_options import Policy
+from ..stop_explanation import StopExplanation
 from .interlock import Interlock, Status
 from .safety_monitor import SafetyMonitor
 
@@ -122,6 +123,36 @@ class Safety(StrictAttributes):
 
         self._monitor.wait_for(is_stopped, timeout)
         return seen[0] if seen else None
+
+    def explain(self, timeout: float = 1.0) -> StopExplanation | None:
+        """Return why the robot stopped, from the data of the last ten seconds; None if it has not stopped.
+
+        This is the active stop, or else the last stop since the connection. Programs that another client has stopped or
+        replaced are explained too. Missing data never raise an error; `StopExplanation.missing` lists them.
+
+        The explanation needs the streams `primary` and `realtime`, which the first motion opens. If a stop began before
+        they were opened, only its kind is known.
+
+        Args:
+            timeout: Maximum wait in seconds for the code that the controller reports after a stop. In a callback that
+                was subscribed with ``inline=True``, the call does not wait.
+
+        Raises:
+            BadValue: If `timeout` is not a number of seconds.
+            RemoteError: If the robot cannot be reached.
+            Closed: If the robot was closed.
+        """
+        timeout = check_number(timeout, "timeout", 0.0)
+        monitor = self._monitor
+        monitor.listen(closely=True)
+        flight = monitor.flight
+        if flight is None:
+            return None
+        with monitor.decision() as interlock:
+            interlock.refusal_to_continue()  # notes a stop that was active before the first motion
+        if flight.unsettled is not None and monitor.may_wait:
+            monitor.wait_for(lambda interlock: flight.unsettled is None, timeout)
+        return flight.explain()
 
     def on_stop(self, callback: Callable[[LinkError], object]) -> Callable[[], None]:
         """Call a function when a stop arrives, with the error that ends the motions.

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from operator import methodcaller
 from queue import Empty, SimpleQueue
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from linkcore import clock
 from linkcore.errors import Cancelled, LinkError
@@ -24,6 +24,9 @@ from ..protocol.primary.robot_state import RobotState
 from ..protocol.realtime.packets import RealtimeState
 from .interlock import Interlock, Status, raise_if
 from .section import Section
+
+if TYPE_CHECKING:
+    from ..diagnosis.flight import FlightRecorder
 
 #: Timeout for the first state of an interface, in seconds.
 _FIRST_REPORT = 2.0
@@ -67,10 +70,12 @@ class SafetyMonitor:
         section: Critical section of the robot, which protects the interlock.
         callbacks: Thread that calls users' callbacks.
         clock: Monotonic clock, in seconds.
+        flight: See the attribute `flight`.
 
     Attributes:
         clock: See the argument `clock`.
         is_closed: Whether `close` was called; then no packet arrives any more.
+        flight: Flight recorder of the robot; None for none.
     """
 
     def __init__(
@@ -81,7 +86,10 @@ class SafetyMonitor:
         section: Section,
         callbacks: CallbackThread,
         clock: Callable[[], float] = clock.now,
+        flight: FlightRecorder | None = None,
     ) -> None:
+        self.flight = flight
+        interlock.flight = flight
         self._connections = {"primary": primary, "realtime": realtime}
         self._interlock = interlock
         self._section = section
@@ -191,6 +199,11 @@ class SafetyMonitor:
             for connection in self._connections.values():
                 if connection.reads_here():
                     connection.look()
+
+    @property
+    def may_wait(self) -> bool:
+        """Whether the current thread may wait for reports: it does not have to receive them itself."""
+        return self._section.may_wait
 
     def wait_for(self, condition: Callable[[Interlock], object], timeout: float) -> bool:
         """Wait until the interlock meets a condition; return False after a timeout, or if the robot was closed.
@@ -311,6 +324,9 @@ class SafetyMonitor:
     def _observe(self, change: Callable[[], LinkError | None]) -> None:
         with self._section.lock:
             closed = change()
+        flight = self.flight
+        if flight is not None and flight.unsettled is not None:
+            flight.settle(self.clock())
         if closed is not None:
             if isinstance(closed, SafetyStop):
                 self.overtake(str(closed))

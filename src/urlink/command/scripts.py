@@ -89,6 +89,7 @@ class Scripts(StrictAttributes):
 
         Raises:
             BadValue: If `source` cannot be a program, or the file cannot be read. Nothing is sent.
+            LimitExceeded: If the session has limits that do not allow "script.run". Nothing is sent.
             SafetyStop, NotRunning: If the arm may not be moved now. Nothing is sent.
             LinkError: If the program could not be sent, or with `wait`, if it ended with an error.
         """
@@ -96,7 +97,7 @@ class Scripts(StrictAttributes):
         if on_text is not None:
             check_callable(on_text, "on_text")
         wrapped = self._programs.wrap(_text(source))
-        life = self._programs.life(wrapped.name)
+        life = self._programs.life(wrapped.name, "script.run")
         program = Program(life)
         receive = program._receiver(self._callbacks, on_text)
         self._programs.start(
@@ -114,6 +115,7 @@ class Scripts(StrictAttributes):
 
         Raises:
             BadValue: If `line` is not one line.
+            LimitExceeded: If the session has limits that do not allow "script.send_line". Nothing is sent.
             SafetyStop, NotRunning: If the arm may not be moved now. Nothing is sent.
             RemoteError: If the line could not be sent.
         """
@@ -121,6 +123,7 @@ class Scripts(StrictAttributes):
             raise BadValue(f"{line!r} is not a line of URScript; expected a string that is not blank")
         if not all(character == "\t" or character.isprintable() for character in line):
             raise BadValue(f"{line!r} contains a line break or a control character; expected one line")
+        self._programs.allow("script.send_line")
         self._channel.motion(line)
 
     def __repr__(self) -> str:

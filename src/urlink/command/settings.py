@@ -36,7 +36,7 @@ from linkcore.text import printable
 from ..arm.bounds import COG, TOOL_LENGTH, check_pose
 from ..arm.models import indistinguishable
 from ..arm.poses import to_matrix
-from ..errors import NotConfirmed
+from ..errors import LimitExceeded, NotConfirmed
 from ..protocol.firmware import Firmware
 from ..protocol.primary.robot_state import CartesianInfo, RobotModeData, tool_offset
 from ..protocol.realtime.packets import RealtimeState
@@ -44,6 +44,7 @@ from ..script import commands
 from ..script.text import floats
 from ..script.wrapping import StartPlace
 from ..session.identity import KnownIdentity
+from ..session.session_limits import SessionLimits
 from .channel import CommandChannel
 from .section import Section
 
@@ -191,6 +192,8 @@ class Settings:
         section: Critical section of the robot.
         is_remote: Function that returns whether an e-Series is in remote control; None if unknown. It must be fast.
         start_place: Place of the start permission; users may not set its flags.
+        limits: Limits of the session; None if it has none.
+        is_moving: Function that returns whether a motion of this session is running.
     """
 
     def __init__(
@@ -202,7 +205,11 @@ class Settings:
         section: Section,
         is_remote: Callable[[], bool | None],
         start_place: StartPlace,
+        limits: SessionLimits | None = None,
+        is_moving: Callable[[], bool] = lambda: False,
     ) -> None:
+        self._limits = limits
+        self._is_moving = is_moving
         self._channel = channel
         self._primary = primary
         self._realtime = realtime
@@ -258,6 +265,10 @@ class Settings:
     def tcp(self, pose: Sequence[float], confirm: float | None) -> None:
         """See `Robot.set_tcp`."""
         offset = check_pose(pose, "tcp", TOOL_LENGTH)
+        if self._limits is not None and (confirm is None or self._is_moving()):
+            # The next motion is predicted with the TCP that the states show, and a motion with the TCP at its start.
+            what = "without confirmation" if confirm is None else "during a motion"
+            raise LimitExceeded("start", f"the TCP would be set {what}", "confirm= in seconds, and no running motion")
         text = commands.secondary(commands.tcp(offset.tolist()))
         wanted = to_matrix(offset)
         # Compare matrices: the same rotation has several rotation vectors, and one might turn by more than 180 degrees.
@@ -271,6 +282,8 @@ class Settings:
     def speed_slider(self, fraction: float, confirm: float | None) -> None:
         """See `Robot.set_speed_slider`."""
         fraction = check_number(fraction, "speed slider", 0.0, 1.0)
+        if self._limits is not None:
+            self._limits.check_slider(fraction)
         echo = Echo(
             RobotModeData, lambda mode: mode.target_speed_fraction, lambda value: abs(value - fraction) <= _SLIDER
         )

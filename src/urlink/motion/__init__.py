@@ -1,5 +1,6 @@
 """Motions of the arm: `robot.motion` is a `Motions`, and the other classes are its handles."""
 
+from ..arm.payload import MeasuredPayload
 from .motions import Motions
 from .moves.path import PathMotion, Waypoint
 from .points.point import PointCheck
@@ -12,6 +13,7 @@ from .servo.servo import Servo, ServoStatistics
 from .stream.point_stream import PointStream
 from .stream.stream_points import PosePoint
 from .teaching import TaughtPoint, Teaching
+from .wrench import Wrench, WrenchStream
 
 __all__ = [
     "Contact",
@@ -20,6 +22,7 @@ __all__ = [
     "Freedrive",
     "Impedance",
     "Jog",
+    "MeasuredPayload",
     "Motions",
     "PathMotion",
     "PointCheck",
@@ -33,4 +36,6 @@ __all__ = [
     "Torque",
     "TrajectoryFeedback",
     "Waypoint",
+    "Wrench",
+    "WrenchStream",
 ]

@@ -13,8 +13,11 @@ from ..command.programs import Programs
 from ..command.section import Section
 from ..protocol.realtime.packets import RealtimeState
 from ..session.identity import KnownIdentity
+from ..session.session_limits import SessionLimits
+from .limited import LimitedArm
 from .links.register_link import PointRegisterLink, RegisterLink, RegisterPort
 from .links.reverse import ReversePort
+from .moves.path import shown_tcp
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,7 @@ class MotionContext:
             registers.
         section: Lock of the robot. A thread releases this lock while it waits.
         clock: Function that returns monotonic time, in s.
+        limits: Limits of the session; None if it has none.
     """
 
     programs: Programs
@@ -43,6 +47,7 @@ class MotionContext:
     point_registers: RegisterPort[PointRegisterLink]
     section: Section
     clock: Callable[[], float] = clock.now
+    limits: SessionLimits | None = None
 
     def state(self) -> RealtimeState:
         """Return the newest state that has arrived since the last program ended; wait for one if there is none.
@@ -66,3 +71,23 @@ class MotionContext:
             first = self.realtime.wait_until(is_newer)
         # If states were delayed and arrived together, the first of them may be older than the end of the program.
         return self.realtime.latest or first
+
+    def limited(self) -> LimitedArm | None:
+        """Return the arm with its current state, for a comparison of a motion with the limits; None without limits.
+
+        Raises:
+            LocalError: If the model of the arm is unknown.
+            LinkTimeout, RemoteError: If no state arrives.
+        """
+        return None if self.limits is None else LimitedArm(self.limits, self.who, self.state(), shown_tcp)
+
+    def limited_at_rest(self) -> LimitedArm | None:
+        """Return the arm like `limited`, after checking that it is at rest with its tool in the box.
+
+        Raises:
+            LimitExceeded: If the arm is moving, or its tool is outside of the box.
+        """
+        limited = self.limited()
+        if limited is not None:
+            limited.check_start()
+        return limited

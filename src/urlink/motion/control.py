@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeVar
 from linkcore import clock
 from linkcore.errors import Closed, LocalError
 from linkcore.net.undo import PendingUndos
+from linkcore.streaming.flight_record import SentRecord
 from linkcore.streaming.stream import Stream
 from linkcore.threads import CallbackThread, MadeOnce
 from linkcore.wire.fields import Since
@@ -23,6 +24,7 @@ from ..command.safety_monitor import SafetyMonitor
 from ..command.scripts import Scripts
 from ..command.section import Section
 from ..command.settings import SettingChannel, Settings
+from ..diagnosis.flight import FlightRecorder
 from ..protocol.dashboard.client import Dashboard
 from ..protocol.gripper.client import Gripper
 from ..protocol.primary.robot_state import RobotState
@@ -62,6 +64,7 @@ class Control:
             the streams. Therefore a robot object without other references can be garbage-collected.
         who: Identity of the controller.
         rtde: Function that returns the RTDE object of the robot.
+        sent: Record of the bytes that were sent to the robot; None for none.
 
     Attributes:
         safety, script, interpreters, io, motion, settings: Parts that users can access.
@@ -76,6 +79,7 @@ class Control:
         realtime: Stream[RealtimeState],
         who: KnownIdentity,
         rtde: Callable[[], Rtde],
+        sent: SentRecord | None = None,
     ) -> None:
         self._host = host = place.host
         self._ports = ports = place.ports
@@ -89,9 +93,16 @@ class Control:
         slow, fast = primary._connection, realtime._connection
         section = Section(slow.reads_here, fast.reads_here)
         interlock = Interlock(options.require_enable, options.stale_after)
-        self._monitor = monitor = SafetyMonitor(slow, fast, interlock, section, callbacks)
+        # A person can ask for an explanation of a stop at any time, so the last seconds are always recorded.
+        flight = FlightRecorder(slow.flight, fast.flight, sent, lambda: who.last)
+        self._monitor = monitor = SafetyMonitor(slow, fast, interlock, section, callbacks, flight=flight)
+
+        def keeper(channel: str) -> Callable[[bytes | memoryview], object] | None:
+            return None if sent is None else partial(sent.keep, channel)
+
         self._undos = undos = PendingUndos.of(peers[0], host, self, *peers[1:]) if peers else PendingUndos(host)
         channel = CommandChannel(slow, monitor, section, undos=undos)
+        limits = options.limits
         start_place = StartPlace(options.start_register, tuple(options.start_flags))
         self._programs = programs = Programs(
             slow,
@@ -102,13 +113,22 @@ class Control:
             start_timeout=options.start_timeout,
             start_place=start_place,
             who=who,
+            limits=limits,
         )
 
         def dashboard(timeout: float) -> Dashboard:
             known, api_port = lambda: who.identity.firmware, ports.get("robot_api")
             dashboard_port, on_stop = ports.get("dashboard"), monitor.overtake
             return Dashboard(
-                host, dashboard_port, known, api_port=api_port, timeout=timeout, undos=undos, on_stop=on_stop
+                host,
+                dashboard_port,
+                known,
+                api_port=api_port,
+                timeout=timeout,
+                undos=undos,
+                on_stop=on_stop,
+                allow=programs.allow,
+                on_send=keeper("dashboard"),
             )
 
         def is_remote() -> bool | None:
@@ -124,17 +144,32 @@ class Control:
         self.safety = Safety(monitor)
         self.script = Scripts(programs, channel, callbacks)
         inputs = (lambda: rtde()._brief_claims()) if options.commands_via == "auto" else None
+
+        def is_moving() -> bool:
+            return programs.current is not None
+
         setting_channel = SettingChannel(channel, slow, section, inputs)
-        self.settings = Settings(setting_channel, slow, fast, who, section, is_remote, start_place)
+        self.settings = Settings(setting_channel, slow, fast, who, section, is_remote, start_place, limits, is_moving)
         self.interpreters = Interpreters(
-            host, ports.get("interpreter"), programs, channel, callbacks, lambda: who.identity.firmware, undos, timeout
+            host,
+            ports.get("interpreter"),
+            programs,
+            channel,
+            callbacks,
+            lambda: who.identity.firmware,
+            undos,
+            timeout,
+            keeper("interpreter"),
         )
         self.io = IO(self.settings, primary, realtime)
-        reverse = ReversePort(host, options.reverse_host, options.reverse_port, options.reverse_peer)
+        reverse = ReversePort(
+            host, options.reverse_host, options.reverse_port, options.reverse_peer, sent=keeper("program")
+        )
         registers = RegisterPort(lambda names: rtde().inputs(*names), timeout, SETPOINT_INPUTS, RegisterLink)
         links = PointLinks(lambda *names: rtde().outputs(*names))
         points = RegisterPort(lambda names: rtde().inputs(*names), timeout, POINT_INPUTS, links)
-        self.motion = Motions(MotionContext(programs, channel, realtime, who, reverse, registers, points, section))
+        context = MotionContext(programs, channel, realtime, who, reverse, registers, points, section, limits=limits)
+        self.motion = Motions(context)
 
     @property
     def dashboard(self) -> Dashboard:

@@ -24,8 +24,9 @@ from ..protocol.realtime.packets import RealtimeState
 from ..script import commands, force_control
 from ..script.wrapping import HAS_REGISTERS
 from .context import MotionContext
+from .limited import DELAYS, LATE, LimitedArm, evenly_timed
 from .links.register_link import RegisterPort
-from .moves.path import PathMotion, Rates, Waypoint, plan, shown_tcp
+from .moves.path import Circular, Linear, PathMotion, Rates, Waypoint, check_tool_way, plan, shown_tcp, way_to
 from .moves.speed_limit import check_joint_speeds, largest_speeds
 from .moves.trajectory import Trajectory
 from .points.point import KeepName, Point, goal_joints, goal_pose
@@ -74,7 +75,8 @@ class Motions(StrictAttributes):
     cancels the motion, as in `Handle.wait`.
 
     Starting a motion preempts the current motion. The `wait` of the preempted motion then raises `Cancelled`. All
-    methods raise `BadValue` for arguments that are invalid or exceed the limits of the arm. They raise `SafetyStop`,
+    methods raise `BadValue` for arguments that are invalid or exceed the limits of the arm. If the session has limits
+    (`connect(limits=)`), they raise `LimitExceeded` for motions that would exceed them. They raise `SafetyStop`,
     `NotEnabled` or `NotRunning` if the arm may not be moved now. In all these cases, nothing is sent.
     """
 
@@ -123,7 +125,12 @@ class Motions(StrictAttributes):
         model = self._context.who.identity.arm
         if model is not None:
             model.check_joints(goal)
-        body = commands.move_joints(goal.tolist(), *_joint_rates(model, speed, acceleration), duration)
+        rates = _joint_rates(model, speed, acceleration)
+        limited = self._limited("move_joints")
+        if limited is not None:
+            rates, duration = _timed(rates, duration, float(np.abs(goal - limited.q).max())), None
+            limited.check_joint_way(goal, *rates)
+        body = commands.move_joints(goal.tolist(), *rates, duration)
         return waited(
             self._upload("move_joints", body, _arriving(goal, lambda state: state.q_actual), has_goal=True), seconds
         )
@@ -156,8 +163,13 @@ class Motions(StrictAttributes):
         seconds = check_wait(wait)
         duration = _time(time, speed, acceleration)
         goal = check_pose(self._of_point(goal_pose, pose, keep), "pose")
-        body = commands.move_linear(goal.tolist(), *_tool_rates(speed, acceleration), duration)
+        rates = _tool_rates(speed, acceleration)
         self._check_reach(goal)
+        limited = self._limited("move_linear")
+        if limited is not None:
+            rates, duration = _timed(rates, duration, way_to(limited, goal)), None
+            check_tool_way(Linear(goal), Rates(*rates), limited)
+        body = commands.move_linear(goal.tolist(), *rates, duration)
         # Compare only the position of the pose, because one rotation has more than one rotation vector.
         gauge = _arriving(goal[:3], lambda state: state.tool_vector_actual[:3])
         motion = self._upload("move_linear", body, gauge, has_goal=True)
@@ -183,6 +195,9 @@ class Motions(StrictAttributes):
         between, goal = check_pose(via, "via"), check_pose(to, "to")
         body = commands.move_circular(between.tolist(), goal.tolist(), *_tool_rates(speed, acceleration))
         self._check_reach(goal)
+        limited = self._limited("move_circular")
+        if limited is not None:
+            check_tool_way(Circular(between, goal), Rates(*_tool_rates(speed, acceleration)), limited)
         # The arc starts at the current position. If the arm is still moving, it comes to rest close to this position.
         arc = Arc(self._context.state().tool_vector_actual.tolist(), between.tolist(), goal.tolist())
         motion = self._upload(
@@ -229,7 +244,7 @@ class Motions(StrictAttributes):
         arm = None if identity.arm is None else identity.kinematics
         joint_rates = Rates(*_joint_rates(identity.arm, joint_speed, joint_acceleration, "joint_"))
         tool_rates = Rates(*_tool_rates(speed, acceleration))
-        planned = plan(list(waypoints), joint_rates, tool_rates, arm, context.state())
+        planned = plan(list(waypoints), joint_rates, tool_rates, arm, context.state(), self._limited("path"))
         life = context.programs.life("path")
         motion = PathMotion(life, planned.sections, lambda: context.realtime.latest)
         wrapped = context.programs.own(planned.body)
@@ -393,6 +408,9 @@ class Motions(StrictAttributes):
         check_choice(scaling, "scaling", get_args(ScalingName))
         model = context.who.identity.arm
         trajectory.check(model)
+        limited = self._limited("follow")
+        if limited is not None:
+            limited.check_trajectory(trajectory)
         state = context.state()
         if self.current is None and stands(state.qd_target):
             # Otherwise the start is checked later, when the arm is at rest after the previous motion. Even if the
@@ -467,6 +485,8 @@ class Motions(StrictAttributes):
             check_choice(target_filter, "target_filter", get_args(TargetFilterName))
             check_overridden("schedule() is not available with a target filter", delay=delay)
             limits = joint_limits(self._context.who.identity.arm, speed, acceleration, jerk)
+            if self._context.limits is not None:
+                self._context.limits.check_joint_speeds(np.array([[limit.speed for limit in limits]]))
         return Servo(self._context, pace, servoing, self._opener(link), limits, _delay(delay))
 
     def stream(
@@ -512,7 +532,7 @@ class Motions(StrictAttributes):
         """
         arm = self._context.who.identity.arm
         servoing = self._servoing(check_number(watchdog, "watchdog", 0.1, 2.0), lookahead_time, gain)
-        limits = joint_limits(arm, largest_speeds(arm), acceleration, jerk)
+        limits = joint_limits(arm, self._largest_speeds(), acceleration, jerk)
         seconds = check_number(buffer, "buffer", 0.05, 10.0, "s")
         opener = self._opener(link, self._context.point_registers)
         return PointStream(self._context, seconds, limits, servoing, opener)
@@ -609,11 +629,14 @@ class Motions(StrictAttributes):
         if force is None and identity.firmware < _TOOL_CONTACT:
             force = _CONTACT_FORCE
         longest = check_number(distance, "distance", _LEAST, 10.0, "m")
+        rates = TOOL_SPEED.check(speed, "speed", 1.0), TOOL_ACCELERATION.check(acceleration, "acceleration")
+        limited = self._limited("until_contact")
+        if limited is not None:
+            limited.check_contact(way / length, *rates, longest)
         body = force_control.until_contact(
             identity.firmware,
             (way / length).tolist(),
-            TOOL_SPEED.check(speed, "speed", 1.0),
-            TOOL_ACCELERATION.check(acceleration, "acceleration"),
+            *rates,
             longest,
             force=None if force is None else check_number(force, "force", 1.0, 500.0, "N"),
             retracts=bool(retract),
@@ -866,6 +889,7 @@ class Motions(StrictAttributes):
         is_tool = name == "speed_linear"
         duration = check_number(duration, "duration", _LEAST, _HOUR, "s")
         open_link = self._opener(link)
+        self._check_speed(name, speeds, acceleration, duration)
         held = self.current
         if isinstance(held, HeldSpeed) and duration >= UNLED:
             context.channel.check()
@@ -888,6 +912,38 @@ class Motions(StrictAttributes):
             left_alone=f"the arm brakes on its own {duration:g} s after the motion started",
         )
 
+    def _largest_speeds(self) -> tuple[float, ...]:
+        """Return the largest speeds of the joints, (6,) in rad/s: those of the arm, or of the session if lower."""
+        speeds, limits = largest_speeds(self._context.who.identity.arm), self._context.limits
+        if limits is None or limits.joint_speed is None:
+            return speeds
+        return tuple(min(speed, limits.joint_speed) for speed in speeds)
+
+    def _check_speed(self, name: str, speeds: FloatArray, acceleration: float, duration: float) -> None:
+        """Compare a motion at one speed with the limits of the session: its whole way, and its braking distance."""
+        if self._context.limits is None:
+            return
+        self._context.limits.allow(name)
+        limited = self._context.limited()
+        assert limited is not None
+        limited.is_moving = limited.is_moving or self.current is not None
+        limited.check_inside()
+        seconds = duration + LATE * limited.cycle
+        if name == "speed_linear":
+            limited.check_tool_speed(speeds, acceleration, seconds, delays=DELAYS)
+        else:
+            limited.check_joint_speed(speeds, acceleration, seconds, delays=DELAYS)
+
+    def _limited(self, kind: str) -> LimitedArm | None:
+        """Return the arm of a session with limits, at rest in its box; None if the session has no limits.
+
+        Raises:
+            LimitExceeded: If the session does not allow this kind, or the arm is moving, or its tool is outside.
+        """
+        if self._context.limits is not None:
+            self._context.limits.allow(kind)
+        return self._context.limited_at_rest()
+
     def _opener(self, link: LinkName, registers: RegisterPort[Any] | None = None) -> Callable[[], Link]:
         """Return the function that opens the link to a program.
 
@@ -908,7 +964,7 @@ class Motions(StrictAttributes):
     def _servoing(self, watchdog: float, lookahead_time: float, gain: float, period: float = 0.0) -> Servoing:
         return Servoing(
             self._context.who.identity.firmware,
-            largest_speeds(self._context.who.identity.arm),
+            self._largest_speeds(),
             check_number(watchdog, "watchdog", 0.01, 10.0),
             check_number(lookahead_time, "lookahead_time", 0.03, 0.2),
             check_number(gain, "gain", 100.0, 2000.0),
@@ -974,6 +1030,11 @@ def _joint_rates(arm: Model | None, speed: float, acceleration: float, prefix: s
 def _joint_acceleration(arm: Model | None, value: float, prefix: str = "") -> float:
     most, whose = (None, "") if arm is None else (float(arm.max_acceleration.max()), f"a {arm.name}")
     return JOINT_ACCELERATION.check(value, f"{prefix}acceleration", most, whose)
+
+
+def _timed(rates: tuple[float, float], duration: float | None, length: float) -> tuple[float, float]:
+    """Return the speed and the acceleration of a move: `rates`, or those for the duration if there is one."""
+    return rates if duration is None else evenly_timed(length, duration)
 
 
 def _time(time: float | None, speed: float, acceleration: float) -> float | None:

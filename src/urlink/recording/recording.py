@@ -36,6 +36,7 @@ from ..protocol.rtde.protocol import CLOCK, RtdeProtocol, package_periods
 from ..protocol.rtde.recipes import Outputs
 from ..rtde.outputs import recorded_plan
 from ..session.identity import described_identity
+from ..stop_explanation import StopExplanation
 from .robot_state_table import RobotStates
 from .ros_messages import description_topic, log_topic, topics_of
 
@@ -199,6 +200,23 @@ class Recording(StrictAttributes):
         return {
             name: getattr(self, name) for name in ("realtime", "primary", "secondary", "rtde") if name in self.channels
         }
+
+    # -- stops -------------------------------------------------------------------------------------
+
+    def explain(self) -> list[StopExplanation]:
+        """Explain all stops in the recording, in order of time.
+
+        Missing streams and fields never raise an error; `StopExplanation.missing` lists them.
+
+        Returns:
+            One explanation for each safety stop, and for each program that another client seems to have replaced.
+        """
+        from ..diagnosis.recorded import record_of  # imported here: few programs need it
+        from ..diagnosis.stop_causes import explain
+
+        firmware = self.firmware
+        record = record_of(self.tables, self.model, is_cb2=firmware is not None and firmware.is_cb2)
+        return explain(record)
 
     # -- export and plots --------------------------------------------------------------------------
 

@@ -31,6 +31,7 @@ from ..protocol.rtde.protocol import Requests, RtdeProtocol, RtdeRefused, check_
 from ..protocol.rtde.recipes import Outputs
 from ..protocol.rtde.transport import RtdeTransport
 from ..protocol.rtde.variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS
+from ..session.session_limits import SessionLimits
 from ..session.source import Source
 from .claims import CLAIM_TIMEOUT, BriefClaims, Claims
 from .inputs import Inputs, with_masks
@@ -67,10 +68,20 @@ class Rtde(StrictAttributes):
         source: Source of the received bytes.
         firmware: Function that returns the firmware of the controller.
         refusal: Reason why inputs cannot be written; empty if they can be written.
+        limits: Limits of the session; None if it has none.
     """
 
-    def __init__(self, name: str, source: Source, firmware: Callable[[], Firmware], *, refusal: str = "") -> None:
+    def __init__(
+        self,
+        name: str,
+        source: Source,
+        firmware: Callable[[], Firmware],
+        *,
+        refusal: str = "",
+        limits: SessionLimits | None = None,
+    ) -> None:
         self._name = name
+        self._limits = limits
         self._source = source
         self._firmware = firmware
         self._refusal = refusal
@@ -192,7 +203,7 @@ class Rtde(StrictAttributes):
         plan = Requests(("timestamp",), _HEARTBEAT, inputs=[wanted])
         connection, transport = self._connection(plan, "rtde inputs")
         # Stored before connecting, so that closing the robot also ends the attempt.
-        inputs = self._keep(Inputs(connection, transport, wanted, self._source.timeout))
+        inputs = self._keep(Inputs(connection, transport, wanted, self._source.timeout, self._limits))
         inputs._claim()
         return inputs
 

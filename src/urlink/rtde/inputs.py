@@ -20,6 +20,7 @@ from ..protocol.rtde.packets import join_names
 from ..protocol.rtde.protocol import RtdeProtocol, check_names
 from ..protocol.rtde.recipes import Recipe
 from ..protocol.rtde.transport import RtdeTransport
+from ..session.session_limits import SessionLimits
 
 
 class _Masked(NamedTuple):
@@ -108,7 +109,15 @@ class Inputs(StrictAttributes, Closing):
         names: Names of the variables that can be sent, without the masks, which are set automatically.
     """
 
-    def __init__(self, connection: Connection, transport: RtdeTransport, names: Sequence[str], timeout: float) -> None:
+    def __init__(
+        self,
+        connection: Connection,
+        transport: RtdeTransport,
+        names: Sequence[str],
+        timeout: float,
+        limits: SessionLimits | None = None,
+    ) -> None:
+        self._limits = limits
         self.names = tuple(name for name in names if name not in _MASKS)
         self._connection = connection
         self._transport = transport
@@ -150,6 +159,7 @@ class Inputs(StrictAttributes, Closing):
 
         Raises:
             BadValue: If a variable is unknown or missing, or its value is invalid. Nothing is sent.
+            LimitExceeded: If the speed slider would exceed a limit of the session. Nothing is sent.
             ConnectionLost: If there is no connection now. Nothing is sent, now or later.
             LinkTimeout: If the controller does not accept the package in time.
         """
@@ -198,6 +208,8 @@ class Inputs(StrictAttributes, Closing):
                 package[masked.mask], package[name] = _bits(name, values[name], masked.bits)
             else:
                 package[name] = checked(name, type, values[name])
+                if name == "speed_slider_fraction" and self._limits is not None:
+                    self._limits.check_slider(package[name])
                 if masked is not None:
                     package[masked.mask] |= masked.bits
         if missing:

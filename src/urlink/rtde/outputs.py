@@ -62,7 +62,14 @@ def connection_of(name: str, transport: Transport, plan: Requests, source: Sourc
     fan_out = FanOut(plan.kind, parts=lambda packet: (), others=tuple(REPLIES.values()))
     backoff, timeout = source.backoff, source.timeout
     return source.connection(
-        name, transport, lambda: RtdeProtocol(plan), fan_out, backoff=backoff, timeout=timeout, silence=silence
+        name,
+        transport,
+        lambda: RtdeProtocol(plan),
+        fan_out,
+        backoff=backoff,
+        timeout=timeout,
+        silence=silence,
+        flight=source.flight("rtde"),
     )
 
 

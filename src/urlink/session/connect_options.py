@@ -14,6 +14,7 @@ from linkcore.errors import BadValue, RemoteError
 from linkcore.streaming.connection_life import Backoff
 
 from .address import Address, RecordingAddress, parse_address
+from .session_limits import SessionLimits
 
 #: How settings are sent: "auto" uses RTDE inputs if they are free, otherwise URScript; "script" uses only URScript.
 CommandsVia = Literal["auto", "script"]
@@ -58,6 +59,7 @@ class ConnectOptions:
     reverse_peer: str | None = None
     commands_via: CommandsVia = "auto"
     isolate: bool = False
+    limits: SessionLimits | None = None
     points: str | os.PathLike[str] | None = None
     name: str = field(init=False)
     place: Address = field(init=False)
@@ -79,6 +81,8 @@ class ConnectOptions:
             raise BadValue(f"require_enable={self.require_enable!r}; expected one of {', '.join(get_args(Policy))}")
         if self.backoff is not None and not isinstance(self.backoff, Backoff):
             raise BadValue(f"backoff={self.backoff!r}; expected a urlink.Backoff")
+        if self.limits is not None and not isinstance(self.limits, SessionLimits):
+            raise BadValue(f"limits={self.limits!r}; expected a urlink.SessionLimits, or None")
         checked["place"] = place = parse_address(self.address)
         checked["name"] = name = os.fspath(self.address)
         if self.isolate and isinstance(place, RecordingAddress):

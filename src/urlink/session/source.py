@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from linkcore.errors import BadRecording, BadValue, ConnectFailed, unraised
@@ -11,6 +12,7 @@ from linkcore.net.transport import TcpTransport, Transport
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import Backoff
 from linkcore.streaming.fanout import FanOut
+from linkcore.streaming.flight_record import FlightRecord, SentRecord
 from linkcore.streaming.stream import Stream
 from linkcore.wire.framing import PacketProtocol
 from linkcore.wire.packet import State
@@ -43,6 +45,7 @@ class Source(NamedTuple):
         channel: Function that returns the description of a recorded interface; None if this is not a recording.
         connection: Class or function that makes a `Connection`, with the same arguments.
         rtde: Function that makes the transport of an RTDE connection; None for the default.
+        sent: Record of the bytes that were sent to the robot; None for a recording.
     """
 
     ask: Callable[[], Identity]
@@ -54,6 +57,11 @@ class Source(NamedTuple):
     channel: Callable[[str], Mapping[str, Any]] | None = None
     connection: Callable[..., Connection] = Connection
     rtde: Callable[[Any, Requests], RtdeTransport] | None = None
+    sent: SentRecord | None = None
+
+    def flight(self, interface: str) -> FlightRecord | None:
+        """Return a new flight record for a connection to one interface; None if this is a recording."""
+        return FlightRecord(*_FLIGHT[interface]) if self.channel is None else None
 
     def stream(self, interface: str, name: str, reconnected: Callable[[], object]) -> Stream[Any]:
         """Return a stream of one interface. The stream connects when it is first used.
@@ -82,9 +90,29 @@ class Source(NamedTuple):
         else:
             fan_out = FanOut(kind, parts=_parts, others=(SubPackage, RobotMessage, OtherPackage))
         connection = self.connection(
-            name, transport, protocol, fan_out, backoff=self.backoff, timeout=self.timeout, silence=self.silence
+            name,
+            transport,
+            protocol,
+            fan_out,
+            backoff=self.backoff,
+            timeout=self.timeout,
+            silence=self.silence,
+            flight=self.flight(interface),
         )
         return Stream(connection, kind, lossless=self.is_lossless)
+
+
+#: Maximum number of chunks in the flight record of each interface, and its maximum memory in bytes. Ten seconds of
+#: real-time packets at 500 Hz need 6.3 MB.
+_FLIGHT = {
+    "realtime": (5_000, 7_000_000),
+    "primary": (500, 1_000_000),
+    "secondary": (200, 300_000),
+    "rtde": (5_000, 4_000_000),
+}
+
+#: Maximum memory of the record of sent bytes, in bytes. 10 s of set-points at 500 Hz need 1.3 MB.
+_SENT_MEMORY = 1_500_000
 
 
 def _parts(packet: State) -> Sequence[State]:
@@ -135,9 +163,12 @@ def networked(
             boundary = "urlink.protocol.realtime.protocol:RealtimeBoundary"
             decode = RealtimeProtocol().decode
             return IsolatedTransport(host, port, silence=silence, boundary=boundary, decode=decode)
-        return tcp(host, port, silence=silence, refused=lambda: refusal_hint(last[0].firmware if last else None))
+        made = tcp(host, port, silence=silence, refused=lambda: refusal_hint(last[0].firmware if last else None))
+        made.sent = partial(sent.keep, interface)
+        return made
 
-    return Source(ask, transport, options.backoff, timeout, silence, is_lossless=False)
+    sent = SentRecord(_SENT_MEMORY)
+    return Source(ask, transport, options.backoff, timeout, silence, is_lossless=False, sent=sent)
 
 
 def recorded(place: RecordingAddress) -> Source:

@@ -62,8 +62,9 @@ class ControlLoop:
         state.uptime += 1
         setpoint = self._runner.advance(state.period)
         state.arm.advance(state.period, setpoint)
-        if state.arm.force_sensor.overload is not None:
-            state.stop_protectively(state.arm.force_sensor.overload)
+        overload = state.arm.overload
+        if overload is not None:
+            state.stop_protectively(overload.reason, code=overload.code)
         state.update_modes(state.period)
         state.arm.is_powered = state.modes.is_powered
         cause = state.take_safety_change()

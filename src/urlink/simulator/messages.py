@@ -72,16 +72,20 @@ def safety_messages(state: ControllerState, cause: StopCause) -> list[bytes]:
     The first message is a report with a code, and with the reason if one is known. The second is the safety mode
     message (firmware 3.0 or later). The code of a protective stop, C153A0 "position deviates from path", is documented.
     A program's `protective_stop()` is reported as C209A0 at warning level; this is what the tests of UR Client Library
-    expect. The other codes and levels, the order and the sources are assumed.
+    expect. The vendor's list of codes, which UR Client Library contains, defines the meaning of the other codes. Which
+    of them a real controller sends for a certain violation, the levels, the order and the sources are assumed.
     """
     mode = state.modes.safety_mode
     messages = []
     report = _BY_PROGRAM if cause.by_program else _REPORTS.get(mode)
     if report is not None:
-        code, level, text = report
+        number, level, text = report
         if cause.reason:
             text = f"{text.partition(':')[0]}: {cause.reason}"
-        fields = {"code": code, "report_level": level, "text": text, **_NO_DATA}
+        code, argument = cause.code or (number, 0)
+        if code == _VIOLATION and not state.firmware.is_e_series:
+            argument = _JOINT_SPEED  # assumption: CB3 and older controllers do not name the joint
+        fields = {"code": code, "report_level": level, "text": text, **_NO_DATA, "argument": argument}
         messages.append(_message(state, RobotCommMessage, source=MessageSource.CONTROLLER, **fields))
     if not state.firmware.is_cb2:
         messages.append(_message(state, SafetyModeMessage, code=0, safety_mode=mode, **_NO_DATA))
@@ -94,6 +98,8 @@ _REPORTS = {
     SafetyMode.PROTECTIVE_STOP: (153, ReportLevel.VIOLATION, "Protective stop: position deviates from path"),
     SafetyMode.ROBOT_EMERGENCY_STOP: (0, ReportLevel.WARNING, "Emergency stop"),
 }
+#: Code of a violation of a safety limit; its argument if a joint was too fast, without the joint.
+_VIOLATION, _JOINT_SPEED = 191, 2
 _BY_PROGRAM = (209, ReportLevel.WARNING, "Protective stop")
 
 # -- of programs ---------------------------------------------------------------------------------

@@ -75,10 +75,12 @@ class StopCause(NamedTuple):
     Attributes:
         reason: Reason that the message of the stop shows; "" if no reason was given.
         by_program: Whether a program has called `protective_stop()`.
+        code: Number and argument of the code that the message of the stop shows; None for the default.
     """
 
     reason: str = ""
     by_program: bool = False
+    code: tuple[int, int] | None = None
 
 
 class StateOutbox:
@@ -303,14 +305,15 @@ class ControllerState:
         is_standing = self.arm.is_standing or self.by_hand is not None
         self.modes.advance(seconds, is_standing, self.source.is_program, self.is_paused)
 
-    def stop_protectively(self, reason: str, *, by_program: bool = False) -> None:
+    def stop_protectively(self, reason: str, *, by_program: bool = False, code: tuple[int, int] | None = None) -> None:
         """Make a protective stop.
 
         Args:
             reason: Reason that the message of the stop shows.
             by_program: Whether a program has requested the stop.
+            code: Number and argument of the code that the message of the stop shows; None for the default.
         """
-        self._stop_cause = StopCause(reason, by_program)
+        self._stop_cause = StopCause(reason, by_program, code)
         self.modes.protective_stop()
 
     def take_safety_change(self) -> StopCause | None:

@@ -27,6 +27,7 @@ import urlink.aio
 from linkcore.errors import Cancelled
 from linkcore.event_loop import Workers
 from rhdlink.robots import VelocityOmega
+from tests.urlink.motion.payloads_drawn import exact_payload
 from urlink.aio.async_group import AsyncGroup
 from urlink.aio.awaited import AwaitedHandle
 
@@ -38,10 +39,12 @@ READY = [0.3, -1.57, 1.57, -1.57, -1.57, 0.0]
 FAR = [0.9, *READY[1:]]
 MOVEJ = f"movej({FAR}, a=1, v=0.1)"
 PROGRAM = "pick.urp"
+PAYLOAD = exact_payload(1.0, (0.0, 0.0, 0.05))
 
 #: Names that return at once, and are not awaited.
 AT_ONCE = {
     *("AsyncFeed.iterate", "AsyncFeed.__aiter__", "AsyncStream.of", "AsyncGripper.position_of"),
+    *("AsyncWrenchStream.__aiter__", "AsyncWrenchStream.compensate"),
     *("AwaitedHandle.cancel", "AwaitedHandle.add_done_callback"),
 }
 #: Names that change the robot or its connection: the next trial gets another robot.
@@ -213,6 +216,11 @@ async def _mobile(cell: Cell) -> AsyncIterator[Any]:
         yield robot
 
 
+@contextlib.asynccontextmanager
+async def _wrench(cell: Cell) -> AsyncIterator[Any]:
+    yield await cell.robot.wrench(PAYLOAD)
+
+
 #: Class -> function that opens an object of it. Some parts are opened while the arm moves: a cancel has to stop it.
 OPEN: Mapping[str, Callable[[Cell], AbstractAsyncContextManager[Any]]] = {
     "AsyncRobot": lambda cell: _is(cell.robot),
@@ -230,6 +238,7 @@ OPEN: Mapping[str, Callable[[Cell], AbstractAsyncContextManager[Any]]] = {
     "AsyncOutputStream": lambda cell: cell.robot.rtde.outputs("actual_q", frequency=125),
     "AsyncInputs": lambda cell: cell.robot.rtde.inputs("input_int_register_24"),
     "AsyncTeaching": lambda cell: cell.robot.teach(),
+    "AsyncWrenchStream": _wrench,
     "AsyncInterpreter": _interpreter,
     "AsyncPointStream": _points,
     "AsyncPoints": _named_points,
@@ -270,6 +279,8 @@ SAMPLES: Mapping[str, Sample] = {
     "AsyncRobot.call": lambda robot: robot.call(lambda: robot._part.motion.move_joints(FAR, speed=0.1, wait=True)),
     "AsyncRobot.freedrive": lambda robot: robot.freedrive(),
     "AsyncRobot.interpreter": lambda robot: robot.interpreter(),
+    "AsyncRobot.measure_payload": lambda robot: robot.measure_payload(1.2, may_move=True),
+    "AsyncRobot.measure_payload_by_hand": lambda robot: robot.measure_payload_by_hand(),
     "AsyncRobot.popup": lambda robot: robot.popup("Hello"),
     "AsyncRobot.record": lambda robot, cell: robot.record(cell.new_file(".urlog")),
     "AsyncRobot.set_gravity": lambda robot: robot.set_gravity([0, 0, 9.82]),
@@ -278,6 +289,8 @@ SAMPLES: Mapping[str, Sample] = {
     "AsyncRobot.set_tcp": lambda robot: robot.set_tcp([0, 0, 0.1, 0, 0, 0]),
     "AsyncRobot.teach": lambda robot: robot.teach(),
     "AsyncRobot.view": lambda robot: robot.view(),
+    "AsyncRobot.wrench": lambda robot: robot.wrench(PAYLOAD),
+    "AsyncWrenchStream.wait_until": lambda stream: stream.wait_until(lambda wrench: False, 15.0),
     "AsyncMotions.follow": lambda motion, cell: motion.follow(_away(cell.robot, 0.5, 5.0), wait=True),
     "AsyncMotions.force_mode": lambda motion: motion.force_mode(*_DOWN),
     "AsyncMotions.impedance": lambda motion: motion.impedance(),

@@ -58,7 +58,7 @@ STREAMS = (AsyncStream, AsyncFeed)
 #: names that are attributes in the blocking API, and methods in asyncio
 ASKED = {(parts.AsyncInterpreter, "state")}
 #: names that return immediately in both APIs
-AT_ONCE = {"of", "iterate", "states", "position_of", "cancel", "add_done_callback"}
+AT_ONCE = {"of", "iterate", "states", "position_of", "cancel", "add_done_callback", "compensate"}
 
 
 def surface(kind: type) -> set[str]:

@@ -38,7 +38,8 @@ COMMANDS = (
         "record",
         "replay",
     ),
-    *("plot", "export", "exercise", "identify", "compare", "foxglove", "view", "dissect", "serve", "sim", "completion"),
+    *("plot", "explain", "export", "exercise", "identify", "compare", "foxglove", "view", "dissect", "serve", "sim"),
+    "completion",
 )
 Spawn = Callable[..., "subprocess.Popen[str]"]
 

@@ -364,7 +364,7 @@ def test_interpreter_mode_that_does_not_begin_times_out(
 def test_program_that_ended_before_the_mode_began_raises(beginning: Beginning, monkeypatch: pytest.MonkeyPatch) -> None:
     lives, life_of = [], beginning.programs.life
 
-    def life(name: str) -> Any:
+    def life(name: str, kind: str | None = None) -> Any:
         lives.append(life_of(name))
         return lives[-1]
 

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from urlink import SessionLimits
 from urlink.arm.poses import rotvec_to_matrix
 from urlink.motion import ForceMode, Freedrive, Jog, Servo, Torque
 from urlink.tools import six, text
@@ -39,8 +40,8 @@ class Feature(IntEnum):
 class ControlBlocks(ControlMoves):
     """Modes that last until another call. See `ControlMoves` for the arguments."""
 
-    def __init__(self, hostname: str, frequency: float = -1.0) -> None:
-        super().__init__(hostname, frequency)
+    def __init__(self, hostname: str, frequency: float = -1.0, *, limits: SessionLimits | None = None) -> None:
+        super().__init__(hostname, frequency, limits=limits)
         self._watchdog = _WATCHDOG
         self._damping: float | None = None
         self._gain: float | None = None

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from enum import IntEnum
 from typing import Any, overload
 
-from urlink import BadValue, Joint, Linear, Motion
+from urlink import BadValue, Joint, Linear, Motion, SessionLimits
 from urlink.arm.kinematics import Unreachable
 from urlink.motion import PathMotion, Waypoint
 from urlink.packets import CartesianInfo
@@ -149,8 +149,8 @@ class ControlMoves(RtdeInterface):
         RemoteError: If the robot cannot be reached.
     """
 
-    def __init__(self, hostname: str, frequency: float = -1.0) -> None:
-        super().__init__(hostname, frequency)
+    def __init__(self, hostname: str, frequency: float = -1.0, *, limits: SessionLimits | None = None) -> None:
+        super().__init__(hostname, frequency, limits=limits)
         try:
             self._robot.primary.wait(STATE_TIMEOUT)
         except BaseException:

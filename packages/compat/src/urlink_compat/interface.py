@@ -52,6 +52,7 @@ class RtdeInterface:
     Args:
         hostname: Address of the robot, or any other address that `urlink.connect` accepts.
         frequency: Frequency of the loop for `initPeriod` and `waitPeriod`, in Hz; -1 for the controller's rate.
+        limits: Limits of the session; see `urlink.SessionLimits`. The other client does not have this argument.
 
     Raises:
         ConnectFailed: If the controller cannot be reached.
@@ -59,8 +60,8 @@ class RtdeInterface:
         WrongPeer: If another service answers at the address.
     """
 
-    def __init__(self, hostname: str, frequency: float = -1.0) -> None:
-        self._robot = urlink.connect(hostname)
+    def __init__(self, hostname: str, frequency: float = -1.0, *, limits: urlink.SessionLimits | None = None) -> None:
+        self._robot = urlink.connect(hostname, limits=limits)
         rate = float(self._robot.firmware.rate)
         self._frequency = rate if frequency <= 0.0 else frequency
 

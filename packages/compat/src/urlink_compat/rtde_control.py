@@ -14,7 +14,7 @@ from queue import Empty, SimpleQueue
 from typing import Any, NoReturn
 
 from linkcore import clock
-from urlink import BadValue, LinkTimeout
+from urlink import BadValue, LinkTimeout, SessionLimits
 from urlink.arm.poses import compose
 from urlink.packets import RobotModeData, TextMessage
 from urlink.tools import text
@@ -68,6 +68,7 @@ class RTDEControlInterface(ControlBlocks):
         flags: Flags. `FLAG_USE_EXT_UR_CAP` and `FLAG_CUSTOM_SCRIPT` are not offered; the others have no effect.
         ur_cap_port: No effect.
         rt_priority: No effect.
+        limits: Limits of the session; see `urlink.SessionLimits`. The other client does not have this argument.
 
     Raises:
         RemoteError: If the robot cannot be reached.
@@ -93,11 +94,13 @@ class RTDEControlInterface(ControlBlocks):
         flags: int = Flags.FLAGS_DEFAULT,
         ur_cap_port: int = 50002,
         rt_priority: int = 0,
+        *,
+        limits: SessionLimits | None = None,
     ) -> None:
         for each in (Flags.FLAG_USE_EXT_UR_CAP, Flags.FLAG_CUSTOM_SCRIPT):
             if flags & each:
                 raise NotOffered(f"{each.name} is not offered, because there is no control script; omit this flag")
-        super().__init__(hostname, frequency)
+        super().__init__(hostname, frequency, limits=limits)
 
     # -- tool and payload --------------------------------------------------------------------------------
 

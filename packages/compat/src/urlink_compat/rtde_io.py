@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from urlink import InputInUse
+from urlink import InputInUse, SessionLimits
 from urlink.rtde import Inputs
 
 from .interface import RtdeInterface, succeeds
@@ -27,13 +27,21 @@ class RTDEIOInterface(RtdeInterface):
         hostname: Address of the robot.
         verbose: No effect.
         use_upper_range_registers: No effect, because registers are given by their own numbers.
+        limits: Limits of the session; see `urlink.SessionLimits`. The other client does not have this argument.
 
     Raises:
         RemoteError: If the robot cannot be reached.
     """
 
-    def __init__(self, hostname: str, verbose: bool = False, use_upper_range_registers: bool = False) -> None:
-        super().__init__(hostname)
+    def __init__(
+        self,
+        hostname: str,
+        verbose: bool = False,
+        use_upper_range_registers: bool = False,
+        *,
+        limits: SessionLimits | None = None,
+    ) -> None:
+        super().__init__(hostname, limits=limits)
         self._claimed: dict[tuple[str, ...], Inputs | None] = {}
         self._registers = self._robot.rtde.registers(lower=True)
         self._robot.primary.wait(5.0)

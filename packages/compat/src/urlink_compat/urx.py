@@ -36,13 +36,21 @@ class Robot(Closing):
         host: Address of the robot, or any other address that `urlink.connect` accepts.
         use_rt: No effect: the real-time interface is used if it is needed.
         urFirm: No effect: the firmware is detected.
+        limits: Limits of the session; see `urlink.SessionLimits`. The other client does not have this argument.
 
     Raises:
         RemoteError: If the robot cannot be reached.
     """
 
-    def __init__(self, host: str, use_rt: bool = False, urFirm: float | None = None) -> None:
-        self._robot = urlink.connect(host)
+    def __init__(
+        self,
+        host: str,
+        use_rt: bool = False,
+        urFirm: float | None = None,
+        *,
+        limits: urlink.SessionLimits | None = None,
+    ) -> None:
+        self._robot = urlink.connect(host, limits=limits)
 
     def close(self) -> None:
         """Disconnect. A running motion ends as in `urlink.Robot.close`."""

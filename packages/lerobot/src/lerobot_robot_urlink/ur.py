@@ -38,6 +38,8 @@ class URConfig(RobotConfig):
             close and open** unless it is active.
         observe_tool: Whether the pose of the tool is part of an observation.
         observe_force: Whether the force at the tool is part of an observation. ``lerobot-rollout`` ignores it.
+        limits: Limits of the session: the path of a JSON file, or ``teaching`` (`urlink.SessionLimits.named`); empty
+            for none. An action that would exceed a limit raises `urlink.LimitExceeded`.
         cameras: Configurations of the cameras, by name.
     """
 
@@ -49,6 +51,7 @@ class URConfig(RobotConfig):
     gripper: bool = False
     observe_tool: bool = True
     observe_force: bool = False
+    limits: str = ""
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
 
 
@@ -120,7 +123,8 @@ class UR(Robot):
         """
         if self._robot is not None:
             raise DeviceAlreadyConnectedError(f"{self} is already connected")
-        robot = urlink.connect(self.config.address)
+        limits = urlink.SessionLimits.named(self.config.limits) if self.config.limits else None
+        robot = urlink.connect(self.config.address, limits=limits)
         try:
             robot.realtime.wait(5.0)
             for camera in self.cameras.values():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import random
+from collections.abc import Callable
 
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
 from linkcore.net.listener import TcpListener, addresses, local_address
@@ -33,9 +34,18 @@ class ReversePort:
             reaches the robot.
         port: TCP port to listen on; 0 for a free one.
         peer: Source address of connections from programs on the robot. If None, the address of the robot.
+        sent: Function that is called with the bytes that were sent to a program; None for none.
     """
 
-    def __init__(self, robot: str, host: str | None = None, port: int = 0, peer: str | None = None) -> None:
+    def __init__(
+        self,
+        robot: str,
+        host: str | None = None,
+        port: int = 0,
+        peer: str | None = None,
+        sent: Callable[[bytes | memoryview], object] | None = None,
+    ) -> None:
+        self.sent = sent
         self.robot = robot
         self.host = host
         self.port = port
@@ -78,6 +88,7 @@ class ReverseLink:
 
     def __init__(self, where: ReversePort) -> None:
         here = local_address(where.robot) if where.host is None else where.host
+        self._sent = where.sent
         self._peers = addresses(where.robot if where.peer is None else where.peer)
         # Listen on all addresses if `host` was given: this address may be translated by NAT, and may not exist on this
         # computer.
@@ -132,6 +143,7 @@ class ReverseLink:
         token = self.endpoint.token.to_bytes(_TOKEN_SIZE, "big")
         if said[:_TOKEN_SIZE] == token:
             self._waiting = bytes(said[_TOKEN_SIZE:])
+            connection.sent = self._sent
             self._connection = connection
             self._forget(candidate)
             self.stop_listening()

@@ -29,6 +29,7 @@ from ...arm import parameters
 from ...arm.bounds import JOINT_ACCELERATION, JOINT_SPEED, TOOL_ACCELERATION, TOOL_SPEED, check_pose
 from ...arm.models import Model
 from ...arm.vectors import JOINTS, FloatArray, Numbers, six
+from ...errors import LimitExceeded
 from ...protocol.realtime.packets import RealtimeState
 from ...script import commands
 from ..slider import SliderEffect, slider
@@ -36,6 +37,7 @@ from ..slider import SliderEffect, slider
 if TYPE_CHECKING:
     from ...arm.curves import Curve
     from ...arm.kinematics import Arm
+    from ..limited import LimitedArm
 
 #: Largest blend radius in m. A larger value probably has the wrong unit, because no arm is longer.
 _WIDEST = 2.0
@@ -48,6 +50,9 @@ _STEP, _TURN, _MOST_STEPS = 0.005, 0.05, 2000
 #: Largest turn of a joint between two checked positions, in rad. A larger turn means that the path passes through a
 #: singularity.
 _LEAP = 0.5
+#: Smallest number of steps on a path that is compared with the limits of a session. It is even, so that a position in
+#: the middle, where a short motion is fastest, is among them.
+_IN_LIMITS = 64
 #: Distance in m for which the tool needs as much time as for a turn of 1 rad (assumed).
 _RADIAN = parameters.number("metres_per_turn")
 #: If the tool centre moves at most this distance, in m, the tool is assumed to turn in place. A pose that was read from
@@ -240,7 +245,12 @@ class PathMotion(Motion):
 
 
 def plan(
-    waypoints: Sequence[Waypoint], joint_rates: Rates, tool_rates: Rates, arm: Arm | None, state: RealtimeState
+    waypoints: Sequence[Waypoint],
+    joint_rates: Rates,
+    tool_rates: Rates,
+    arm: Arm | None,
+    state: RealtimeState,
+    limited: LimitedArm | None = None,
 ) -> Plan:
     """Check a path that starts at the current position of the arm, and return the plan.
 
@@ -249,9 +259,11 @@ def plan(
         joint_rates, tool_rates: Speeds and accelerations for waypoints without their own values.
         arm: Kinematics of the arm. If None, reach, joint limits and blends are not checked.
         state: State of the robot, with the joint positions and the pose of the tool.
+        limited: The arm with the limits of the session; None if the session has no limits.
 
     Raises:
         BadValue: If a waypoint cannot be used. The message names the waypoint and the reason.
+        LimitExceeded: If the path exceeds a limit of the session.
     """
     if not 0 < len(waypoints) <= _MOST:
         raise BadValue(f"the path has {len(waypoints)} waypoints; expected 1 to {_MOST}")
@@ -266,7 +278,7 @@ def plan(
         body += [commands.segment(number), *_statement(waypoint, rate)]
     if arm is None:
         return Plan(body, [PathSection(1.0, lambda state: 0.0)] * len(waypoints))
-    planner = _Planner(arm, state)
+    planner = _Planner(arm, state, limited)
     before = 0.0
     sections = []
     for number, (waypoint, rate) in enumerate(zip(waypoints, rates, strict=True)):
@@ -274,6 +286,8 @@ def plan(
             sections.append(planner.section(waypoint, rate, before))
         except BadValue as error:
             raise type(error)(f"waypoint {number}: {error}") from None
+        except LimitExceeded as error:
+            raise LimitExceeded(error.limit, f"waypoint {number}: {error.value}", error.expected) from None
         before = waypoint.blend
     return Plan(body, sections)
 
@@ -301,10 +315,21 @@ def _statement(waypoint: Waypoint, rate: Rates) -> list[str]:
 class _Planner:
     """Planner of a path: plans one segment after another, as if there were no blends."""
 
-    def __init__(self, arm: Arm, state: RealtimeState) -> None:
+    def __init__(self, arm: Arm, state: RealtimeState, limited: LimitedArm | None = None) -> None:
         self._arm = arm
         self._tcp = shown_tcp(arm, state)
         self._q: FloatArray = np.array(state.q_target)
+        self._limited = limited
+        #: positions of the joints in the blend zone before the next corner, (n, 6) rad
+        self._zone: FloatArray = np.zeros((0, 6))
+
+    @classmethod
+    def at(cls, limited: LimitedArm) -> _Planner:
+        """Return a planner that begins at the position of an arm with limits."""
+        planner = cls.__new__(cls)
+        planner._arm, planner._tcp, planner._q = limited.arm, limited.tcp, limited.q
+        planner._limited, planner._zone = limited, np.zeros((0, 6))
+        return planner
 
     def section(self, waypoint: Waypoint, rate: Rates, blend: float) -> PathSection:
         """Plan the segment to a waypoint, after a segment that ends with a blend of `blend` m."""
@@ -322,6 +347,13 @@ class _Planner:
         start, way = self._q, waypoint.q - self._q
         places = self._arm.forward(np.stack([start, waypoint.q]), self._tcp)
         _check_blends(blend, waypoint.blend, math.dist(places[0, :3].tolist(), places[1, :3].tolist()))
+        if self._limited is not None:
+            is_fast = blend > 0.0, waypoint.blend > 0.0
+            self._limited.check_joint_way(
+                waypoint.q, *(rate.speed, rate.acceleration), starts_fast=is_fast[0], ends_fast=is_fast[1], start=start
+            )
+            parts = np.linspace(0.0, 1.0, _IN_LIMITS)[:, np.newaxis]
+            self._check_corner(start + parts * way, blend, waypoint.blend)
         self._q = np.array(waypoint.q)
         squared = float(way @ way)
 
@@ -341,10 +373,44 @@ class _Planner:
             assert isinstance(waypoint, Circular)
             curve = Arc(start, waypoint.via.tolist(), waypoint.to.tolist())
         _check_blends(blend, waypoint.blend, curve.length)
-        self._q = self._follow(curve, rate, blend > 0.0, waypoint.blend > 0.0)
+        self._q = self._follow(curve, rate, blend > 0.0, waypoint.blend > 0.0, blend, waypoint.blend)
         return PathSection(rate.seconds(_counted(curve)), lambda state: curve.part(state.tool_vector_actual.tolist()))
 
-    def _follow(self, curve: Curve, rate: Rates, is_fast_at_start: bool, is_fast_at_end: bool) -> FloatArray:
+    def _check_corner(self, rows: FloatArray, before: float, after: float) -> None:
+        """Check the blend at the beginning of a segment, and keep the positions of the blend zone at its end.
+
+        Args:
+            rows: Positions of the joints along the segment, (n, 6) rad.
+            before, after: Radii of the blends at both ends, in m.
+        """
+        assert self._limited is not None
+        places = self._arm.forward(rows, self._tcp)[:, :3]
+        if before > 0.0:
+            # The blend may end further from the corner than it has begun (assumed: up to twice as far).
+            near = np.linalg.norm(places - places[0], axis=1) <= 2.0 * before
+            self._limited.check_corner(self._zone, rows[0], _thinned(rows[near]))
+        self._zone = _thinned(rows[np.linalg.norm(places - places[-1], axis=1) <= after])
+
+    @staticmethod
+    def _check_limits(
+        limited: LimitedArm, curve: Curve, rows: FloatArray, rate: Rates, starts_fast: bool, ends_fast: bool
+    ) -> None:
+        """Compare the motion along a curve with the limits of the session."""
+        from ..limited import speed_along
+
+        way, steps = _counted(curve), len(rows) - 1
+        if way == 0.0:
+            return
+        parts = np.linspace(0.0, 1.0, steps + 1)
+        speeds = speed_along(parts, way, rate.speed, rate.acceleration, starts_fast, ends_fast)
+        limited.check(rows)
+        limited.limits.check_tool_speeds(speeds * curve.length / way)
+        middles = np.maximum(speeds[1:], speeds[:-1])[:, np.newaxis]
+        limited.limits.check_joint_speeds(np.diff(rows, axis=0) * (steps / way) * middles)
+
+    def _follow(
+        self, curve: Curve, rate: Rates, is_fast_at_start: bool, is_fast_at_end: bool, before: float, after: float
+    ) -> FloatArray:
         """Check that the arm can follow the curve, and return the joint positions at its end.
 
         Raises:
@@ -354,7 +420,8 @@ class _Planner:
         from ...arm.kinematics import Unreachable
 
         model = self._arm.model
-        steps = min(max(math.ceil(max(curve.length / _STEP, curve.turn / _TURN)), 1), _MOST_STEPS)
+        least = 1 if self._limited is None else _IN_LIMITS
+        steps = min(max(math.ceil(max(curve.length / _STEP, curve.turn / _TURN)), least), _MOST_STEPS)
         parts = np.linspace(0.0, 1.0, steps + 1)
         poses = [curve.pose(part) for part in parts.tolist()]
         try:
@@ -381,6 +448,9 @@ class _Planner:
             way = _counted(curve)
             speed = _speed_along(way, rate, steps, is_fast_at_start, is_fast_at_end)
             self._check_speeds(turns * (steps / way) * speed, parts)
+        if self._limited is not None:
+            self._check_limits(self._limited, curve, rows, rate, is_fast_at_start, is_fast_at_end)
+            self._check_corner(rows, before, after)
         end: FloatArray = rows[-1]
         return end
 
@@ -402,6 +472,28 @@ class _Planner:
                 f"{JOINTS[joint]} would have to turn at {speeds[row, joint]:.2f} rad/s at {parts[row]:.0%} of the "
                 f"path; the limit of a {model.name} is {model.max_speed[joint]:.2f} rad/s"
             )
+
+
+def way_to(limited: LimitedArm, pose: FloatArray) -> float:
+    """Return the length of the straight motion of a tool to a pose, in m, as the controller counts it."""
+    from ...arm.curves import Line
+
+    return _counted(Line(limited.arm.forward(limited.q, limited.tcp).tolist(), pose.tolist()))
+
+
+def check_tool_way(waypoint: Linear | Circular, rates: Rates, limited: LimitedArm) -> None:
+    """Compare the motion from the position of the arm to a waypoint with the limits of the session.
+
+    Raises:
+        LimitExceeded: If the motion exceeds a limit.
+        BadValue: If the arm cannot follow the path.
+    """
+    _Planner.at(limited).section(waypoint, rates, 0.0)
+
+
+def _thinned(rows: FloatArray) -> FloatArray:
+    """Return at most ten rows, always with the first and the last one."""
+    return rows[np.unique(np.linspace(0, len(rows) - 1, 10).astype(int))] if len(rows) else rows
 
 
 def _counted(curve: Curve) -> float:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from linkcore.arguments import check_number
@@ -105,6 +107,9 @@ class ForceMode(BlockMotion):
     ) -> None:
         firmware = context.who.identity.firmware
         _check_pressing(pressing, firmware)
+        if context.limits is not None:
+            speeds = [limit for limit, is_free in zip(pressing.limits[:3], pressing.selection, strict=False) if is_free]
+            context.limits.check_tool_speeds(np.array([math.hypot(*speeds)]))
         seconds = check_number(watchdog, "watchdog", 0.05, 10.0)
         body = partial(force_control.force_mode, firmware, pressing=pressing, watchdog=seconds)
         self._message = KeptMessage(body, _wrench(wrench).tolist())

@@ -7,6 +7,7 @@ sensor in the wrist: the program moves the arm according to the measured force.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -20,6 +21,7 @@ from ...protocol.realtime.packets import RealtimeState
 from ...script.links import FOLLOW, Writer
 from ...script.springs import GAINS, POSTURE
 from ..context import MotionContext
+from ..limited import STEP, LimitedArm
 from ..links.messages import packed
 from ..moves.path import check_joint_positions, shown_tcp
 from ..slider import SliderEffect, slider
@@ -59,6 +61,33 @@ class Impedance(BlockMotion):
         self._tcp: FloatArray | None = None
         self._messages = _Messages(body, stiffness.tolist(), damping, has_posture=has_posture)
         super().__init__(context, "impedance", self._messages, open_link)
+        self._limited: LimitedArm | None = None
+        if context.limits is not None:
+            fastest = parameters.fastest()
+            self._fastest = float(fastest.max())
+            if self.frame == "joints":
+                context.limits.check_joint_speeds(fastest[np.newaxis])
+            else:
+                context.limits.check_tool_speeds(fastest[:3])
+
+    def _check_limits(self, target: Sequence[float]) -> None:
+        """Compare a target, and the straight way to it from the last target or the arm, with the box of the session."""
+        if self._limited is None:
+            self._limited = self._context.limited()
+        limited = self._limited
+        if limited is None:
+            return
+        if self.frame != "joints":
+            limited.limits.check_places(np.array([target[:3]]))
+            return
+        before = limited.q if self._messages.target is None else np.array(self._messages.target)
+        way = np.array(target) - before
+        # The program moves the target at up to 0.7 of the largest speed. The springs might move the arm at this speed.
+        length = float(np.abs(way).max())
+        if length > 0.0:
+            parts = np.linspace(0.0, 1.0, max(math.ceil(float(np.abs(way).sum()) / STEP), 1) + 1)[:, np.newaxis]
+            speeds = np.broadcast_to(self._fastest * way / length, (len(parts), 6))
+            limited.check(before + parts * way, speeds)
 
     @property
     def target(self) -> FloatArray | None:
@@ -108,6 +137,7 @@ class Impedance(BlockMotion):
                 passed for springs of the joints or without direct torque. In this case and in the cases below, the
                 target does not change.
             Unreachable: If the tool cannot reach this pose.
+            LimitExceeded: If the target, or the straight way to it, leaves the box of the session.
             LinkError: If the impedance has ended; the error states the reason.
             LocalError: If called outside the ``with`` block.
         """
@@ -116,7 +146,9 @@ class Impedance(BlockMotion):
         if posture is not None and not self._messages.has_posture:
             raise BadValue("posture applies only to springs of the tool with direct torque; omit it")
         if self.frame == "joints":
-            self._messages.lead(check_joint_positions(target, "target", identity.arm).tolist(), None)
+            values = check_joint_positions(target, "target", identity.arm).tolist()
+            self._check_limits(values)
+            self._messages.lead(values, None)
             return
         goal, state = check_pose(target, "target"), self._context.state()
         if self._tcp is None:
@@ -124,6 +156,7 @@ class Impedance(BlockMotion):
         near = state.q_actual if self._messages.posture is None else self._messages.posture
         bent = identity.kinematics.inverse(goal, near, self._tcp)
         wanted = bent if posture is None else check_joint_positions(posture, "posture", identity.arm)
+        self._check_limits(goal.tolist())
         self._messages.lead(goal.tolist(), wanted.tolist())
 
     def set_gains(self, stiffness: ArrayLike | None = None, damping: ArrayLike | None = None) -> None:

@@ -80,6 +80,11 @@ class ImpedanceParameters:
     friction_compensation: bool
     watchdog: float
 
+    def fastest(self) -> FloatArray:
+        """Return the largest speeds, (6,): of the joints in rad/s, or of the tool in m/s and rad/s."""
+        usual = 1.0 if self.frame == "joints" else FULL_SPEED[self.frame]
+        return np.broadcast_to(np.array(_or(self.speed, usual), dtype=np.float64), (6,))
+
     def program(self, firmware: Firmware, model: Model | None) -> tuple[Writer, FloatArray, bool]:
         """Return the function that writes the program, the initial stiffness, and whether the program takes a posture.
 

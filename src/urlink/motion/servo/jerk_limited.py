@@ -17,6 +17,7 @@ All numbers are plain floats, because one numpy operation takes longer than the 
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -27,6 +28,7 @@ from linkcore.arguments import check_number
 
 from ...arm.models import Model
 from ...arm.vectors import JOINTS, six_limits
+from ..limited import Prediction
 
 #: Maximum number of steps of `root`. Each step at least halves the bracket, so 60 steps are always enough; six are
 #: usual.
@@ -191,6 +193,16 @@ class TargetFilter:
         state = self.q[joint], self.qd[joint], self.qdd[joint]
         self._profiles[joint] = JointProfile(*state, target, self._limits[joint])
         self._times[joint] = 0.0
+
+    def predicted(self, target: Sequence[float], delay: float) -> Prediction:
+        """Return the predicted motion to a target that is used after `delay` seconds; the filter does not change."""
+        other = copy.copy(self)
+        other._profiles, other._times = list(self._profiles), list(self._times)
+        other.q, other.qd, other.qdd = list(self.q), list(self.qd), list(self.qdd)
+        other.advance(delay)
+        other.aim(target)
+        left = max(profile.duration - t for profile, t in zip(other._profiles, other._times, strict=True))
+        return other.after, max(left, 0.0)
 
     def after(self, seconds: float) -> tuple[list[float], list[float]]:
         """Return the positions, (6,) rad, and the speeds, (6,) rad/s, at `seconds` after the current time."""

@@ -17,6 +17,7 @@ from ...protocol.realtime.packets import RealtimeState
 from ...script.links import Writer
 from ...script.streaming import jogging
 from ..context import MotionContext
+from ..limited import LATE
 from ..links.messages import WAIT_MESSAGE
 from ..moves.speed_limit import check_joint_speeds
 from ..slider import SliderEffect, slider
@@ -100,6 +101,7 @@ class Jog(BlockMotion):
         self.frame: FrameName = frame
         self.timeout = timeout
         self._arm = identity.arm
+        self._acceleration = acceleration
 
     def move(self, speeds: Numbers) -> None:
         """Move at these speeds until other speeds are set, or until `timeout` seconds have passed.
@@ -113,6 +115,8 @@ class Jog(BlockMotion):
         Raises:
             BadValue: If `speeds` is not six finite numbers, or if a speed is faster than the arm can move. The previous
                 speeds remain.
+            LimitExceeded: If the arm could exceed a limit of the session until these speeds expire and it is at rest.
+                The previous speeds remain.
             SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: If the jog has ended.
             LocalError: If called outside the ``with`` block.
         """
@@ -122,7 +126,28 @@ class Jog(BlockMotion):
             if self.frame == "joints"
             else check_speeds(speeds, "speeds")
         )
+        self._check_limits(values)
         self._dialogue.newest = values, self._context.clock()
+
+    def _check_limits(self, speeds: FloatArray) -> None:
+        """Compare the motion at these speeds, until they expire and the arm is at rest, with the limits."""
+        if not speeds.any():
+            return
+        limited = self._context.limited()
+        if limited is None:
+            return
+        limited.check_inside()
+        seconds = self.timeout + LATE * limited.cycle
+        if self.frame == "joints":
+            limited.check_joint_speed(speeds, self._acceleration, seconds, delays=(0.0, LATE * limited.cycle))
+        else:
+            limited.check_tool_speed(
+                speeds,
+                self._acceleration,
+                seconds,
+                delays=(0.0, LATE * limited.cycle),
+                is_of_tool=self.frame == "tool",
+            )
 
     def stop(self) -> None:
         """Brake. The next `move` moves the arm again.

@@ -24,6 +24,7 @@ from ...errors import ProgramStopped, ToleranceExceeded
 from ...protocol.realtime.packets import RealtimeState
 from ...script import links
 from ..context import MotionContext
+from ..limited import LimitedArm, is_watched
 from ..links.messages import dated
 from .following import stands
 from .setpoints import LinkDialogue
@@ -114,6 +115,8 @@ class LinkedProgram:
         self._passed = 0.0
         #: monotonic time in s at which the newest state was processed; set after the first state
         self._seen: float
+        #: the arm of a session with limits, during a motion that cannot be predicted
+        self._watched: LimitedArm | None = None
         self._owes_farewell = False  # whether the link has to deliver its last message when it is closed
 
     def begin(self) -> None:
@@ -127,6 +130,8 @@ class LinkedProgram:
         life.brake = self._brake
         try:
             context.channel.check()
+            if is_watched(life.name):
+                self._watched = context.limited_at_rest()
             self._link = link = self._open_link()
             on_state = partial(self._on_state, link, self._clock())
             self._subscription = context.realtime.subscribe(on_state, policy=latest)
@@ -252,6 +257,8 @@ class LinkedProgram:
     def _look(self, link: Link, sent: float, state: RealtimeState) -> None:
         now = self._clock()
         self._seen = now
+        if self._watched is not None and not self.is_finishing:
+            self._watched.watch(state.q_actual, state.qd_actual)
         self._passed += self._controller.passed(state.time, now)
         lost, braked = self._life.happened(Event.LOSE), self._life.happened(Event.BRAKE)
         if self._life.happened(Event.SETTLE):

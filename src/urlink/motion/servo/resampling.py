@@ -19,6 +19,7 @@ from linkcore.errors import BadValue
 from ...arm.models import Model
 from ...command.program_time import ProgramTimer
 from ...protocol.realtime.packets import RealtimeState
+from ..limited import LimitedArm, Prediction
 from ..links.messages import WAIT_MESSAGE
 from ..moves.trajectory import Trajectory
 from .following import Rest
@@ -155,6 +156,21 @@ class FilteredTargets:
         self._limits, self._cycle = limits, cycle
         self._filter: TargetFilter  # set by `begin`, which is called first
 
+    def predicted(self, target: Sequence[float], here: Sequence[float]) -> list[Prediction]:
+        """Return predictions of the motion to a target: one for each cycle in which the target might be used.
+
+        Args:
+            target: The target, (6,) rad.
+            here: Position of the arm at rest, (6,) rad. It is used before the first target.
+        """
+        now = getattr(self, "_filter", None)
+        return [
+            TargetFilter(here, self._limits).predicted(target, 0.0)
+            if now is None
+            else now.predicted(target, cycles * self._cycle)
+            for cycles in range(3 if now is not None else 1)
+        ]
+
     @property
     def has_targets(self) -> bool:
         return self.newest is not None
@@ -207,11 +223,18 @@ class Schedule:
         cycle: Cycle of the controller, in s.
         delay: Time in s from a state until the arm reaches the set-point that answers this state.
         section: Lock of the robot. It is needed because waypoints and states arrive in different threads.
+        limited: The arm with the limits of the session; None if the session has no limits.
     """
 
     def __init__(
-        self, model: Model | None, cycle: float, delay: float, section: AbstractContextManager[object]
+        self,
+        model: Model | None,
+        cycle: float,
+        delay: float,
+        section: AbstractContextManager[object],
+        limited: LimitedArm | None = None,
     ) -> None:
+        self._limited = limited
         self._model = model
         self._cycle = cycle
         self._delay = delay
@@ -318,6 +341,8 @@ class Schedule:
             put_off += 1
             later = _LATER * (times[new] - before)
             times[new:] = [time + later for time in times[new:]]
+        if self._limited is not None:
+            self._limited.check_curve(lambda t: curve.at(t)[:2], curve.time)
         self._waypoints = [(time, place) for time, (_, place) in zip(times, waypoints, strict=True)]
         self._curve, self._origin = curve, anchor
 

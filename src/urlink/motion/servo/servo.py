@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -16,6 +17,7 @@ from ...command.program_time import ProgramTimer, reported_scaling
 from ...protocol.realtime.packets import RealtimeState
 from ...script.text import integer
 from ..context import MotionContext
+from ..limited import FIRST_STEP, LimitedArm, check_targets
 from ..links.messages import WAIT_MESSAGE, setpoint
 from ..moves.path import Joint, Linear, Waypoint, check_joint_positions, shown_tcp
 from ..moves.speed_limit import LONGEST_PERIOD, SpeedLimit
@@ -147,12 +149,24 @@ class Servo(BlockMotion):
         self._recent: list[tuple[float, list[float]]] = []
         self._began: float  # time at which the first set-point was sent
         self._sent_at: float
+        #: time of the program at which the last set-point was sent, in s
+        self._passed = -math.inf
         self._count = self._late = 0
         # Between set-points, in s. The thread in the block adds them.
         self._intervals: Newest[float] = Newest(_REMEMBERED)
         self._model = model
         self._limit = SpeedLimit(servoing.speeds, 1.0 / rate)
         self._cycle = cycle
+        #: the arm with the limits of the session and with the TCP at the first target; None without limits
+        self._limited: LimitedArm | None = None
+
+    def _limited_arm(self) -> LimitedArm | None:
+        """Return the arm with the limits of the session; None if the session has no limits."""
+        if self._limited is None:
+            self._limited = self._context.limited()
+            if self._limited is not None:
+                self._limited.check_inside()
+        return self._limited
 
     def send(self, q: Numbers) -> None:
         """Send one set-point; with a target filter, a target.
@@ -168,6 +182,8 @@ class Servo(BlockMotion):
 
         Raises:
             BadValue: If `q` is not six finite numbers, is too fast, or exceeds a limit of the arm. Nothing is sent.
+            LimitExceeded: If the arm could exceed a limit of the session on the way to `q`, or while it brakes after
+                `q`. Nothing is sent.
             SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: If the servo has ended.
             LocalError: If called outside the ``with`` block, or if waypoints were scheduled in the block.
         """
@@ -176,7 +192,10 @@ class Servo(BlockMotion):
             raise LocalError("schedule() was already used in this block; use either send() or schedule(), not both")
         now = self._context.clock()
         values: list[float] = check_joint_positions(q, "q", self._model).tolist()
+        limited = self._limited_arm()
         if self._targets is not None:
+            if limited is not None:
+                check_targets(limited, self._targets.predicted(values, limited.q.tolist()))
             self._targets.newest = values
         else:
             if self._program.is_paused:
@@ -184,7 +203,14 @@ class Servo(BlockMotion):
             before = None if self._dialogue.begins_anew else self._last
             passed = self._dialogue.program_time(now)
             self._check_step(before, values, passed)
-            self._say(setpoint(values, self._speeds(before, values, now)), self._servoing.watchdog)
+            seconds = max(passed - self._passed, self._cycle) if before is not None else FIRST_STEP
+            if limited is not None:
+                limited.check_setpoint(before or self._dialogue.here or values, values, min(seconds, LONGEST_PERIOD))
+            speeds = self._speeds(before, values, now)
+            if limited is not None and not limited.can_coast(values, speeds, self._servoing.coasted):
+                speeds = [0.0] * 6
+            self._say(setpoint(values, speeds), self._servoing.watchdog)
+            self._passed = passed
             self._limit.take(before or values, values, passed)
             self._dialogue.begins_anew = False
         self._count_one(values, now)
@@ -220,7 +246,7 @@ class Servo(BlockMotion):
         time = check_number(at, "at")
         state = self._context.state()
         if self._schedule is None:
-            schedule = Schedule(self._model, self._cycle, self._delay, self._context.section.lock)
+            schedule = Schedule(self._model, self._cycle, self._delay, self._context.section.lock, self._limited_arm())
             self._dialogue.resampled = ResampledSetpoints(self._servoing, schedule)
             # Set this attribute last. Otherwise an interruption could leave a schedule that is not connected to the
             # dialogue.

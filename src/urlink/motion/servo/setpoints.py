@@ -86,6 +86,11 @@ class Servoing:
         return missable(min(self.watchdog, self._coasting), self.firmware.rate)
 
     @property
+    def coasted(self) -> float:
+        """Longest time in s at constant speed that covers the distance of coasting until the robot is at rest."""
+        return self.coasting(self.coastable) / self.firmware.rate
+
+    @property
     def late(self) -> float:
         """Delay in s that the next set-point may make up for at once, because the robot has coasted meanwhile."""
         return self.coastable / self.firmware.rate

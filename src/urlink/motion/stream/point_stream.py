@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
-from functools import partial
+from functools import cache, partial
 from typing import TypeVar
 
 from linkcore import clock
@@ -78,7 +78,7 @@ class PointStream(BlockMotion):
         self.buffer = buffer
         cycle = 1.0 / firmware.rate
         shortest = 2.0 * cycle  # the program reads a message per cycle, and must read points faster than the arm moves
-        bounds = Bounds(identity.arm, servoing.speeds, limits)
+        bounds = Bounds(identity.arm, servoing.speeds, limits, cache(context.limited))
         self._reader = PointReader(bounds, shortest, partial(_inverse, context))
         capacity = min(round(buffer / shortest) + 4, _MOST)
         write = partial(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from functools import partial
@@ -21,7 +21,9 @@ from linkcore.pending_call import Call, PendingCall, current_call
 
 from ...arm.models import Model
 from ...arm.vectors import FloatArray
+from ...errors import LimitExceeded
 from ...script.buffering import BRAKING_FACTOR, STRAY
+from ..limited import LimitedArm
 from ..moves.trajectory import refuse_beyond
 from ..servo.jerk_limited import JointLimit
 
@@ -129,6 +131,10 @@ class Step:
             rows[1:5] = v, 0.5 * a, -(v / length + 2.0 / 3.0 * a) / length, (0.5 * v / length + 0.25 * a) / length**2
         return cls(rows, length)
 
+    def sampled(self, t: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return positions and speeds at the times `t`, (n,) s: arrays of shape (n, 6)."""
+        return _derivatives(self.rows, t[:, np.newaxis] ** _POWERS)[:2]
+
     def at(self, t: float) -> JointMoment:
         """Return the moment `t` s after the beginning of the step."""
         return JointMoment(*_derivatives(self.rows, t**_POWERS))
@@ -192,9 +198,17 @@ class Bounds:
             the points.
         speeds: Largest speeds of the joints, shape (6,), in rad/s.
         limits: Limits for the motions that the stream adds to the points: braking, and the paths back onto the points.
+        limited: Function that returns the arm with the limits of the session; None if the session has no limits.
     """
 
-    def __init__(self, model: Model | None, speeds: Sequence[float], limits: Sequence[JointLimit]) -> None:
+    def __init__(
+        self,
+        model: Model | None,
+        speeds: Sequence[float],
+        limits: Sequence[JointLimit],
+        limited: Callable[[], LimitedArm | None] = lambda: None,
+    ) -> None:
+        self._limited = limited
         self.limits = tuple(limits)
         self._arm = "the fastest arm" if model is None else f"a {model.name}"
         self._speeds = np.array(speeds)
@@ -236,6 +250,19 @@ class Bounds:
         rests = np.array([[self.braked(step.end).q] for step in steps])
         what = "position after braking, if no point followed,"
         refuse(rests, what, "rad", np.where(rests < low, low, high), (rests < low) | (rests > high))
+        limited = self._limited()
+        if limited is not None:
+            self._check_limits(limited, steps, names)
+
+    def _check_limits(self, limited: LimitedArm, steps: Sequence[Step], names: Sequence[str]) -> None:
+        """Compare steps, and braking after the last one, with the limits of the session."""
+        for step, name in zip(steps, names, strict=True):
+            braking = Step.braking(step.end, self.limits)
+            for each in (step, braking) if step is steps[-1] and braking.length > 0.0 else (step,):
+                try:
+                    limited.check_curve(each.sampled, np.array([0.0, each.length]))
+                except LimitExceeded as error:
+                    raise LimitExceeded(error.limit, f"{name}: {error.value}", error.expected) from None
 
     def way(self, begin: JointMoment, end: JointMoment, least: float) -> Step | None:
         """Return the quickest polynomial from one moment to another within the limits; None if there is none.
@@ -270,7 +297,20 @@ class Bounds:
             & (np.abs(qdd) <= hard * slack).all((1, 2))
             & (np.abs(qddd) <= sharp * slack).all((1, 2))
         )
-        return int(np.argmax(is_within)) if is_within.any() else None
+        limited = self._limited()
+        for found in np.flatnonzero(is_within).tolist():
+            if limited is None or self._is_limited(limited, ways[found]):
+                return int(found)
+        return None
+
+    @staticmethod
+    def _is_limited(limited: LimitedArm, way: Step) -> bool:
+        """Whether a step is within the limits of the session."""
+        try:
+            limited.check_curve(way.sampled, np.array([0.0, way.length]))
+        except LimitExceeded:
+            return False
+        return True
 
 
 #: Factor between the successive durations that are tried for a path onto other points.

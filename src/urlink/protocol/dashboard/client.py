@@ -101,6 +101,9 @@ class Dashboard(StrictAttributes, Closing):
             share for the controller.
         on_stop: Function that is called before each command that stops or pauses the arm. Its argument is the reason,
             used in messages.
+        allow: Function that is called before each command that might start a program. Its argument is the name of the
+            method, such as "dashboard.play". If the function raises, nothing is sent.
+        on_send: Function that is called with each command that was sent; None for none.
 
     Raises:
         BadValue: If the timeout is not positive.
@@ -116,8 +119,12 @@ class Dashboard(StrictAttributes, Closing):
         timeout: float = 5.0,
         undos: PendingUndos | None = None,
         on_stop: Callable[[str], object] = lambda why: None,
+        allow: Callable[[str], object] = lambda kind: None,
+        on_send: Callable[[bytes | memoryview], object] | None = None,
     ) -> None:
+        self._allow = allow
         self._on_stop = on_stop
+        self._on_send = on_send
         self._timeout = _positive(timeout)
         self._host = host
         self._firmware = firmware
@@ -130,10 +137,12 @@ class Dashboard(StrictAttributes, Closing):
         self._http = HttpClient(host, api_port or 0, refused=refused)
         self._api = RobotApi(self._http, timeout)
         self._transport = TcpTransport(host, port or 0, silence=timeout, refused=refused)
+        self._transport.sent = on_send
         self._name = f"the dashboard server at {self._transport.name}"
         self._dialogue = Dialogue(self._transport, DashboardProtocol, self._name, timeout)
         # Second connection for commands that must not wait for the reply to another command; connects when needed.
         stopping = TcpTransport(host, port or 0, silence=timeout, refused=refused)
+        stopping.sent = on_send
         self._stopping = Dialogue(stopping, DashboardProtocol, self._name, timeout)
         self._shares_undos = undos is None
         service = service_of(host, (api_port or 0) if port is None else port)
@@ -219,6 +228,7 @@ class Dashboard(StrictAttributes, Closing):
 
         If no reply arrives, the controller might still execute the command; see `Dashboard`.
         """
+        self._allow("dashboard.play")
         self._do("play")
 
     def pause(self) -> None:
@@ -393,6 +403,7 @@ class Dashboard(StrictAttributes, Closing):
             raise LocalError(f"firmware {firmware} is PolyScope X, which has no dashboard server for send()")
         self._check_served(self._port, "dashboard server")
         encode_line(command)
+        self._check_allowed(command.strip().casefold())
         within = self._timeout if timeout is None else _positive(timeout)
 
         def stays(reply: str) -> bool:
@@ -400,6 +411,12 @@ class Dashboard(StrictAttributes, Closing):
 
         with self._command(command.strip().casefold()) as given_up:
             return self._dialogue.ask(command, within, stays, given_up=given_up)
+
+    def _check_allowed(self, command: str) -> None:
+        """Ask whether a line may be sent. A known query and a stop need no permission."""
+        known = COMMANDS.get(command)
+        if command not in _STOPS and not (known is not None and known.only_asks):
+            self._allow("dashboard.play" if command == "play" else "dashboard.send")
 
     def quit(self) -> None:
         """Send the command to quit, and disconnect. The next command connects again."""
@@ -442,6 +459,8 @@ class Dashboard(StrictAttributes, Closing):
         command, firmware = COMMANDS[name], self._present()
         if firmware.is_polyscope_x:
             self._check_served(self._api_port, "Robot API")
+            if self._on_send is not None:
+                self._on_send(name.encode())
             with self._command(name, command.only_asks) as given_up:
                 return self._api.do(name, argument, firmware, given_up)
         self._check_served(self._port, "dashboard server")

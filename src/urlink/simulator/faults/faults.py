@@ -132,6 +132,21 @@ def _seconds(text: str) -> float:
     return checked_seconds(float(text))
 
 
+def checked_joint(joint: int) -> int:
+    """Check the number of a joint, and return it.
+
+    Raises:
+        BadValue: If the number is not 0 to 5.
+    """
+    if joint not in range(6):
+        raise BadValue(f"the joint is {joint!r}; expected 0 to 5")
+    return joint
+
+
+def _joint(text: str) -> int:
+    return checked_joint(int(text))
+
+
 def _size(text: str) -> int:
     return checked_sizes([int(text)])[0]
 
@@ -196,6 +211,24 @@ class Faults(StrictAttributes):
         """
         self._do(lambda: self._state.modes.protective_stop())
 
+    @_listed(_joint, "the joint, 0 to 5")
+    def drag(self, joint: int, share: float = 0.5) -> None:
+        """Let a joint fall behind its target until `clear`, as with a defective brake or too little torque.
+
+        When the deviation exceeds the limit, the controller stops the arm protectively.
+
+        Args:
+            joint: Number of the joint, 0 (base) to 5 (wrist 3).
+            share: Fraction of its motion that the joint does not follow, above 0, at most 1.
+
+        Raises:
+            BadValue: If the joint does not exist, or the fraction is invalid.
+        """
+        joint = checked_joint(joint)
+        if not 0.0 < share <= 1.0:
+            raise BadValue(f"share={share!r}; expected a number above 0, at most 1")
+        self._do(lambda: self._state.arm.drags.update({joint: share}))
+
     @_listed()
     def safeguard_stop(self, resumes: bool = True) -> None:
         """Cause a safeguard stop, which lasts until `clear`.
@@ -226,9 +259,15 @@ class Faults(StrictAttributes):
     def clear(self) -> None:
         """Unlock a protective stop, end a safeguard stop, or release the emergency stop button.
 
-        After a safeguard stop, the motion continues from rest. After an emergency stop, the power stays off.
+        After a safeguard stop, the motion continues from rest. After an emergency stop, the power stays off. A dragged
+        joint (`drag`) follows its target again.
         """
-        self._do(lambda: self._state.modes.clear())
+
+        def clear() -> None:
+            self._state.arm.drags.clear()
+            self._state.modes.clear()
+
+        self._do(clear)
 
     @_listed()
     def power_off(self) -> None:

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 
 from linkcore.errors import BadValue
 from linkcore.net.polled import PolledConnection, State
+from urlink.arm.parameters import number
 from urlink.protocol.rtde.variables import INPUTS, OUTPUTS
 
 from ..messages import popup_message, text_message
@@ -45,6 +46,9 @@ Route = Callable[[str, int], Target | None]
 
 T = TypeVar("T")
 
+#: Force of an unknown weight on the tool, in N, at which freedrive does not begin; the code that the controller then
+#: reports, according to the vendor's list.
+_UNKNOWN_FORCE, _WRONG_LOAD = number("unknown_force_limit"), (156, 0)
 #: Maximum number of sockets of a program. A socket counts until the program closes it.
 MOST = 16
 #: Maximum number of received bytes that are buffered for one socket. If the buffer is full, the peer has to wait.
@@ -214,8 +218,15 @@ class ProgramWorld:
             self._drive.set_gain(gain)
 
     def freedrive(self, axes: Sequence[bool], frame: Sequence[float]) -> None:
-        if self._drive is not None:
-            self._drive.freedrive(axes, frame)
+        if self._drive is None:
+            return
+        state = self._state
+        if not self._drive.yields and state.arm.force_sensor.weight > _UNKNOWN_FORCE:
+            state.stop_protectively(
+                "freedrive cannot begin with a load that differs from the payload", code=_WRONG_LOAD
+            )
+            return
+        self._drive.freedrive(axes, frame)
 
     def end_compliance(self) -> None:
         if self._drive is not None:

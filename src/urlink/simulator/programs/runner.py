@@ -80,7 +80,7 @@ class RunningProgram:
             state.scaling = generator.scaling if self.is_program or not generator.is_standing else 0.0
             return setpoint
         except LimitViolation as violation:
-            state.stop_protectively(str(violation))
+            state.stop_protectively(str(violation), code=violation.code)
             return drive.setpoint
 
     def end(self) -> None:
@@ -242,7 +242,7 @@ class ProgramRunner:
             return hand.advance(seconds)
         except LimitViolation as violation:
             state.by_hand = None
-            state.stop_protectively(str(violation))
+            state.stop_protectively(str(violation), code=violation.code)
             return None
 
     def _watch(self) -> None:

@@ -14,16 +14,22 @@ from linkcore.errors import BadValue
 from urlink.arm.dynamics import GRAVITY, Dynamics
 from urlink.arm.kinematics import Arm as Kinematics
 from urlink.arm.motors import motors_of
+from urlink.arm.parameters import number
+from urlink.arm.vectors import JOINTS
 
 from .characteristics import SensorParameters
 from .sensors import Sample, Sensors
 from .setpoint_sources import BRAKING, Setpoint
-from .surroundings import ForceSensor, Surroundings
+from .surroundings import ForceSensor, Overload, Surroundings
 
 if TYPE_CHECKING:
     from urlink.arm.arm_file import ArmFile
 
 _ZERO = [0.0] * 6
+#: Deviation of a joint in rad that causes a protective stop, and the code of this stop in the vendor's list.
+_DEVIATION_LIMIT, _DEVIATES = number("position_deviation_limit"), 153
+#: Time constant in s with which a joint that is no longer dragged returns to its target; deviation that counts as zero.
+_RETURN, _RETURNED = 0.1, 1e-6
 
 
 class SimulatedArm:
@@ -48,6 +54,7 @@ class SimulatedArm:
         is_powered: Whether the arm has power. Without power, there is no current and no noise.
         external_force: Wrench at the TCP that an RTDE client has sent, in N and Nm.
         uses_external_force: Whether `external_force` is reported instead of the measured force.
+        drags: Joint number -> fraction of its motion that the joint does not follow, as with a defective brake.
     """
 
     def __init__(
@@ -80,6 +87,7 @@ class SimulatedArm:
         self._sensors = Sensors(kinematics, self.motors, parameters, setpoint.q, seed)
         self._surroundings = surroundings
         self.force_sensor = ForceSensor(kinematics, surroundings)
+        self.drags: dict[int, float] = {}
         self._is_following = True
         # State of the arm when braking began, total duration of the braking, and elapsed time, both in s.
         self._brake: tuple[Setpoint, float, float] | None = None
@@ -121,9 +129,34 @@ class SimulatedArm:
             if self._brake is not None:
                 self._go_on_braking(*self._brake, seconds)
         self._is_following = setpoint is not None
+        if self.drags or any(self.deviation):
+            self._deviate(seconds)
         self._rests += was_moving and not any(self._setpoint.qd)
         self._sample = None
         self.force_sensor.advance(self._setpoint, self._tcp, self.payload, self.payload_cog, seconds)
+
+    @property
+    def deviation(self) -> Sequence[float]:
+        """Deviation of the joints from their targets that `drags` causes, shape (6,), in rad."""
+        return self._sensors.deviation
+
+    def _deviate(self, seconds: float) -> None:
+        """Advance `deviation` by one cycle: a dragged joint falls behind, and any other joint returns to its target."""
+        left = math.exp(-seconds / _RETURN)
+        self._sensors.deviation = [
+            d - self.drags[i] * v * seconds if i in self.drags else (left * d if abs(d) > _RETURNED else 0.0)
+            for i, (d, v) in enumerate(zip(self.deviation, self._setpoint.qd, strict=True))
+        ]
+
+    @property
+    def overload(self) -> Overload | None:
+        """Reason for a protective stop that the sensors have detected in this cycle; None if there is none."""
+        furthest = max(self.deviation, key=abs)
+        if abs(furthest) > _DEVIATION_LIMIT and self.is_moving:
+            joint = list(self.deviation).index(furthest)
+            text = f"{JOINTS[joint]}: the position deviates from its target by {abs(furthest):.4f} rad"
+            return Overload(text, (_DEVIATES, joint))
+        return self.force_sensor.overload
 
     def carry(self, payload: Sequence[float], seconds: float) -> None:
         """Set mass, centre and inertia of the payload, in kg, m and kg m².

@@ -32,6 +32,7 @@ from urlink.arm.dynamics import GRAVITY, Dynamics
 from urlink.arm.kinematics import Arm as Kinematics
 from urlink.arm.kinematics.geometry import chain, flange, velocity
 from urlink.arm.motors import Motors
+from urlink.arm.parameters import number
 from urlink.arm.rigid import FLOATS, IDENTITY, Rigid, from_pose, product, to_pose
 
 from .characteristics import AMBIENT, JOINT_VOLTAGE, STEPS, TEMPERATURE_RISE, WARMING, SensorParameters
@@ -46,6 +47,9 @@ _NOISE_LENGTH = 8191
 _RISE = 1.0
 # Time interval in s between the two speeds from which an acceleration is computed.
 _MOMENT = 1e-6
+# Fraction of the maximum torque with which the controller pushes a joint that deviates by 1 rad from its target.
+# Assumed: half of the maximum torque at the deviation that causes a stop.
+_PUSH = 0.5 / number("position_deviation_limit")
 
 
 @dataclass(slots=True, init=False, eq=False, repr=False)
@@ -119,6 +123,10 @@ class Sensors:
             rise + _RISE * math.sqrt(abs(m / k))
             for rise, m, k in zip(TEMPERATURE_RISE, load, motors.torque_constants, strict=True)
         ]
+        #: Deviation of the joints from their targets, in rad, in addition to lag and noise; see `SimulatedArm.drags`.
+        self.deviation: Sequence[float] = _ZERO
+        torque = model.max_torque.tolist()
+        self._push = [_PUSH * m / k for m, k in zip(torque, motors.torque_constants, strict=True)]
         self._warmed_to = -1
         self._warm: list[float] = []
 
@@ -127,6 +135,10 @@ class Sensors:
 
         `cycle` selects the noise. `rest`, the number of the current or last rest, selects the error of joints at rest.
         """
+        measured = self._positions(setpoint, cycle, rest, is_powered)
+        return list(map(add, measured, self.deviation)) if any(self.deviation) else measured
+
+    def _positions(self, setpoint: Setpoint, cycle: int, rest: int, is_powered: bool) -> list[float]:
         q, qd, _ = setpoint
         is_moving = any(qd)
         if self._seed is None or not (is_powered or is_moving):
@@ -263,6 +275,10 @@ class Sensors:
             s.I_actual = [
                 i + h * c + n for i, h, c, n in zip(s.I_control, held, self._motors.coulomb, noise, strict=True)
             ]
+        if any(self.deviation):
+            # The controller pushes a joint towards its target.
+            pushed = [-push * d for push, d in zip(self._push, self.deviation, strict=True)]
+            s.I_control, s.I_actual = list(map(add, s.I_control, pushed)), list(map(add, s.I_actual, pushed))
         noise = self._noise(cycle, 4, self._of.voltage_noise)
         idle, drop, step = JOINT_VOLTAGE
         s.V_actual = [_stepped(idle - drop * abs(i) + n, step) for i, n in zip(s.I_control, noise, strict=True)]

@@ -24,7 +24,7 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -47,6 +47,8 @@ _SLIDING = 1e-3
 FORCE_LIMIT = number("force_limit")
 # Limit of the joint torque that contacts with the links cause, as a fraction of the maximum torque of the joint.
 _TORQUE_SHARE = number("link_contact_limit")
+# Limit of the joint torque that an unknown weight causes, as a fraction of the maximum torque of the joint.
+_WEIGHT_SHARE = number("unknown_weight_limit")
 
 
 class ContactModel(Protocol):
@@ -293,6 +295,22 @@ _REMEMBERED = 500
 _NONE = [0.0] * 6
 
 
+class Overload(NamedTuple):
+    """Reason for a protective stop that the sensors of the arm have detected.
+
+    Attributes:
+        reason: Reason, as a text.
+        code: Number and argument of the code that the controller reports. The choice of the code is assumed.
+    """
+
+    reason: str
+    code: tuple[int, int]
+
+
+#: Codes of the vendor's list: a collision that a joint has detected; a load that the arm cannot hold.
+_COLLISION, _CANNOT_HOLD = 157, (155, 0)
+
+
 class ForceSensor:
     """Force sensor of one arm.
 
@@ -304,8 +322,10 @@ class ForceSensor:
         external: Wrench on the TCP in this cycle, including the weight that the controller does not know, shape (6,).
         wrench: The same wrench minus the offset that `zero` has stored, shape (6,).
         torques: Joint torques from contacts with the links, shape (6,), in Nm.
+        weight: Force of the unknown weight on the tool in this cycle, in N.
         overload: Reason for a protective stop; None if there is no overload. There is an overload if the force at the
-            TCP, or the torque of a joint, exceeds its limit and has grown since the previous cycle.
+            TCP, or the torque of a joint, exceeds its limit and has grown since the previous cycle. There is also an
+            overload if a joint must hold too much of a weight that the controller does not know.
     """
 
     def __init__(self, kinematics: Arm, surroundings: Surroundings) -> None:
@@ -317,8 +337,11 @@ class ForceSensor:
         self.external: Sequence[float] = _NONE
         self.wrench: Sequence[float] = _NONE
         self.torques: Sequence[float] = _NONE
-        self.overload: str | None = None
-        self._torque_limits = (_TORQUE_SHARE * kinematics.model.max_torque).tolist()
+        self.overload: Overload | None = None
+        self.weight = 0.0
+        self._lifted = 0.0
+        self._max_torque = kinematics.model.max_torque
+        self._torque_limits = (_TORQUE_SHARE * self._max_torque).tolist()
 
     def advance(
         self, setpoint: Setpoint, tcp: Sequence[float], payload: float, cog: Sequence[float], seconds: float
@@ -336,20 +359,29 @@ class ForceSensor:
         if self._surroundings.is_empty and self._offset is None:
             self.external = self.wrench = self.torques = _NONE
             self._felt.clear()
+            self.weight = self._lifted = 0.0
             return
-        before, turned = math.hypot(*self.wrench[:3]), self.torques
-        self._feel(setpoint, tcp, payload, cog, seconds)
+        before, turned, held = math.hypot(*self.wrench[:3]), self.torques, self._lifted
+        weight = self._feel(setpoint, tcp, payload, cog, seconds)
+        across = self._kinematics.jacobian(setpoint.q, tcp).T
         force, limit = self.wrench[:3], self._surroundings.force_limit
         self._felt.append(force)
         if math.hypot(*force) > max(limit, before + 1e-6):
-            self.overload = f"a force of more than {limit:g} N at the TCP"
+            joint = int(np.argmax(np.abs(across @ np.asarray(self.wrench)) / self._max_torque))
+            self.overload = Overload(f"a force of more than {limit:g} N at the TCP", (_COLLISION, joint))
         for i, (torque, last, most) in enumerate(zip(self.torques, turned, self._torque_limits, strict=True)):
             if abs(torque) > max(most, abs(last) + 1e-6):
-                self.overload = f"a contact of the arm that turns joint {i + 1} by more than {most:g} Nm"
+                self.overload = Overload(
+                    f"a contact of the arm that turns joint {i + 1} by more than {most:g} Nm", (_COLLISION, i)
+                )
+        self._lifted = 0.0 if not weight.any() else float(np.max(np.abs(across @ weight) / self._max_torque))
+        if self._lifted > max(_WEIGHT_SHARE, held + 1e-6):
+            self.overload = Overload("the arm cannot hold a load that differs from the payload", _CANNOT_HOLD)
 
     def _feel(
         self, setpoint: Setpoint, tcp: Sequence[float], payload: float, cog: Sequence[float], seconds: float
-    ) -> None:
+    ) -> FloatArray:
+        """Measure the wrench of this cycle, and return the part that an unknown weight causes."""
         pose: list[float] = self._kinematics.forward(setpoint.q, tcp).tolist()
         velocity = _NONE
         if self._surroundings.contacts and any(setpoint.qd):
@@ -360,12 +392,15 @@ class ForceSensor:
         external += reaction.wrench
         self.torques = reaction.torques
         self._turn = pose[3:]
+        weight: FloatArray = np.zeros(6)
         load = self._surroundings.load
         if load is not None and load != (payload, tuple(cog)):
             # Transform the centres of mass from the flange frame to the TCP frame.
             turn, way = rotvec_to_matrix(tcp[3:]), np.array(tcp[:3])
-            external += self._weight(load[0], turn.T @ (np.array(load[1]) - way))
-            external -= self._weight(payload, turn.T @ (np.array(cog) - way))
+            weight = self._weight(load[0], turn.T @ (np.array(load[1]) - way))
+            weight -= self._weight(payload, turn.T @ (np.array(cog) - way))
+            external += weight
+        self.weight = float(np.linalg.norm(weight[:3]))
         self.external = external.tolist()
         if self._offset is None:
             self.wrench = self.external
@@ -374,6 +409,7 @@ class ForceSensor:
             self.wrench = (
                 external - np.concatenate((rotation @ self._offset[:3], rotation @ self._offset[3:]))
             ).tolist()
+        return weight
 
     def _weight(self, mass: float, place: FloatArray) -> FloatArray:
         """Return the force and the moment about the TCP that a weight causes; `place` is in the TCP frame."""

@@ -11,7 +11,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from urlink.tools import ADDRESS, ProgressBar, agrees, argument, command, connected, positive_number, seconds, tell
+from urlink.tools import (
+    ADDRESS,
+    LIMITS,
+    ProgressBar,
+    agrees,
+    argument,
+    command,
+    connected,
+    positive_number,
+    seconds,
+    tell,
+)
 
 if TYPE_CHECKING:
     from urlink import Robot
@@ -52,6 +63,7 @@ _TABLE = (
     "exercise",
     "move each joint slowly, for a recording",
     *ADDRESS,
+    LIMITS,
     argument("--out", metavar="FILE", help="record the motion in this new file, for `urlink identify`"),
     argument(
         "--swing", type=_degrees, default=17.0, metavar="DEG", help="degrees to either side, 6 to 45 (default: 17)"

@@ -14,6 +14,7 @@ from urlink.arm.kinematics import Arm
 from urlink.tools import (
     ADDRESS,
     DURATION,
+    LIMITS,
     Interruption,
     ProgressBar,
     RecordingAddress,
@@ -101,6 +102,7 @@ def keep_showing(
     "view",
     "show an arm in 3D in a browser",
     *ADDRESS,
+    LIMITS,
     argument("--host", default="127.0.0.1", metavar="HOST", help="address to listen on (default: 127.0.0.1)"),
     argument("--port", type=int, default=8080, metavar="PORT", help="port to listen on, 0 for any (default: 8080)"),
     argument("--plot", action="append", metavar="FIELD", help="plot this field; repeatable"),

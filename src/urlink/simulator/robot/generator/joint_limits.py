@@ -31,11 +31,29 @@ _HARDEST = 10.0
 _ROUNDING = 1e-9
 
 
+#: Codes of the vendor's list, with which a controller reports a violation: number and argument. The list is evidence
+#: for the meaning of each code. Which code a real controller sends for which violation is assumed.
+DEVIATES, OUT_OF_RANGE, SINGULAR, SUDDEN = (153, 0), (150, 0), (154, 0), (204, 1)
+#: Argument of C191, the code of a joint that is too fast, for the base. The next joints have the next arguments.
+TOO_FAST_BASE = 32
+
+
 class LimitViolation(Exception):
     """Error: a set-point exceeds a limit of the arm. The text of the error names the limit.
 
     The controller then makes a protective stop.
+
+    Args:
+        text: Text of the error.
+        code: Number and argument of the code that the controller reports.
+
+    Attributes:
+        code: See the argument `code`.
     """
+
+    def __init__(self, text: str, code: tuple[int, int] = DEVIATES) -> None:
+        super().__init__(text)
+        self.code = code
 
 
 class OutOfReach(Exception):
@@ -69,15 +87,15 @@ class JointLimits:
         # This check runs in each cycle. Python loops would need a tenth of the cycle's processor time, so `map` is
         # used. The condition is also true for NaN.
         if not all(map(le, map(abs, new.qd), self.allowed_speed)):
-            raise LimitViolation(self._too_fast(new.qd))
+            raise self._too_fast(new.qd)
         if not all(map(le, map(abs, map(sub, new.qd, last.qd)), map(mul, self._hardest, repeat(seconds)))):
-            raise LimitViolation(self._too_sudden(last.qd, new.qd, seconds))
+            raise LimitViolation(self._too_sudden(last.qd, new.qd, seconds), SUDDEN)
         if not any(new.qd) and new.q != last.q:
             # At the end of a path, the joints are corrected to the exact end. This correction is small, unless the path
             # ends in a singularity.
             way = [(b - a) / seconds for a, b in zip(last.q, new.q, strict=True)]
             if any(abs(speed) > allowed for speed, allowed in zip(way, self.allowed_speed, strict=True)):
-                raise LimitViolation(self._too_fast(way))
+                raise self._too_fast(way)
         if not (all(map(le, self._lowest, new.q)) and all(map(le, new.q, self._highest))):
             self._check_range(last, new)
 
@@ -91,12 +109,13 @@ class JointLimits:
             return
         for joint, position, lowest, highest in zip(JOINTS, q, self._lowest, self._highest, strict=True):
             if not lowest <= position <= highest:
-                raise LimitViolation(f"{joint}: the target of {position:.4f} rad is out of range")
+                raise LimitViolation(f"{joint}: the target of {position:.4f} rad is out of range", OUT_OF_RANGE)
 
-    def _too_fast(self, qd: Sequence[float]) -> str:
+    def _too_fast(self, qd: Sequence[float]) -> LimitViolation:
         ratios = [abs(speed) / limit for speed, limit in zip(qd, self.speed, strict=True)]
         joint = ratios.index(max(ratios))
-        return f"{JOINTS[joint]}: a speed of {qd[joint]:.3f} rad/s; at most {self.speed[joint]:.3f} is allowed"
+        text = f"{JOINTS[joint]}: a speed of {qd[joint]:.3f} rad/s; at most {self.speed[joint]:.3f} is allowed"
+        return LimitViolation(text, (191, TOO_FAST_BASE + joint))
 
     def _too_sudden(self, old: Sequence[float], new: Sequence[float], seconds: float) -> str:
         changes = [(b - a) / seconds for a, b in zip(old, new, strict=True)]
@@ -107,7 +126,7 @@ class JointLimits:
     def _check_range(self, last: Setpoint, new: Setpoint) -> None:
         for joint, old, q, lowest, highest in zip(JOINTS, last.q, new.q, self._lowest, self._highest, strict=True):
             if (q > highest and q > old) or (q < lowest and q < old):
-                raise LimitViolation(f"{joint}: a position of {q:.4f} rad is out of range")
+                raise LimitViolation(f"{joint}: a position of {q:.4f} rad is out of range", OUT_OF_RANGE)
 
 
 class ArmWithTool(NamedTuple):
@@ -142,7 +161,8 @@ class ArmWithTool(NamedTuple):
         try:
             found: list[float] = self.kinematics.inverse(pose, near, self.tcp, is_limited=False).tolist()
         except Unreachable:
-            raise LimitViolation(f"the arm does not reach the pose {[round(number, 4) for number in pose]}") from None
+            text = f"the arm does not reach the pose {[round(number, 4) for number in pose]}"
+            raise LimitViolation(text, SINGULAR) from None
         return found
 
     def setpoint(self, pose: Sequence[float], last: Setpoint, seconds: float) -> Setpoint:

@@ -17,17 +17,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
 from linkcore.errors import BadValue
 from urlink.arm.curves import Arc, Line
 from urlink.arm.dynamics import Dynamics
 from urlink.arm.kinematics import Arm
 from urlink.arm.motors import Motors
+from urlink.arm.parameters import number
 from urlink.arm.vectors import FloatArray
 
 from ..characteristics import ScalingParameters, approached
 from ..setpoint_sources import BRAKING, REST, Setpoint
 from .compliance import TorqueMotion
-from .joint_limits import ArmWithTool, JointLimits, LimitViolation, OutOfReach, checked, positive
+from .joint_limits import SINGULAR, ArmWithTool, JointLimits, LimitViolation, OutOfReach, checked, positive
 from .path_motion import Blend, Command, JointPath, MotionPath, PathMove, ToolPath, Trapezoid, timed
 from .streamed_motion import JointSpeed, ServoMotion, ToolSpeed, lag_of
 
@@ -38,6 +41,11 @@ _TAKES_OVER = 0.1
 _SHORTEST = 1e-9
 #: Length below which a path is considered to lead nowhere, in m or rad.
 _NOTHING = 1e-12
+
+
+#: Singular value of the flange's Jacobian below which a posture counts as near a singularity. A tool at 0.25 m/s then
+#: requires joint speeds near their limits.
+_NEAR_SINGULARITY = number("near_singularity")
 
 
 class MotionGenerator:
@@ -126,10 +134,17 @@ class MotionGenerator:
                 setpoint = self._command.advance(last, seconds, self.scaling, change)
                 self._limits.check(last, setpoint, seconds)
             except LimitViolation as refusal:
+                if isinstance(self._command, (PathMove, ToolSpeed)) and self._is_near_singularity(last.q):
+                    refusal.code = SINGULAR
                 self._refusal = refusal
                 raise
             self.setpoint = setpoint
         return self.setpoint
+
+    def _is_near_singularity(self, q: Sequence[float]) -> bool:
+        """Whether a slow motion of the flange can require high joint speeds at these positions."""
+        jacobian = self.arm.kinematics.jacobian(q)
+        return float(np.linalg.svd(jacobian, compute_uv=False)[-1]) < _NEAR_SINGULARITY
 
     def start(self, q: Sequence[float]) -> None:
         """Continue from rest at six joint positions, in rad, after a stop has braked the arm.

@@ -31,7 +31,7 @@ from urlink.arm.parameters import number
 from urlink.arm.vectors import JOINTS
 
 from ..setpoint_sources import REST, Setpoint
-from .joint_limits import ArmWithTool, JointLimits, LimitViolation, moved
+from .joint_limits import SUDDEN, ArmWithTool, JointLimits, LimitViolation, moved
 from .path_motion import Command
 
 _OF_LOOKAHEAD = number("servoj_lag_of_lookahead")
@@ -169,7 +169,8 @@ class ServoMotion(Command):
             return
         for joint, now, end, most in zip(JOINTS, q, self._end, allowed, strict=True):
             if abs(end - now) > most * horizon:
-                raise LimitViolation(f"{joint}: the servoj target is {end - now:.4f} rad away; it is out of reach")
+                text = f"{joint}: the servoj target is {end - now:.4f} rad away; it is out of reach"
+                raise LimitViolation(text, SUDDEN)
 
 
 @lru_cache(maxsize=256)

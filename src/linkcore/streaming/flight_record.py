@@ -1,0 +1,151 @@
+"""Flight record: the bytes that were received from a robot and sent to it in the last seconds, in bounded memory.
+
+The record of received bytes contains references to the received bytes, not decoded packets. So the reader needs only a
+few hundred instructions for each packet. The bytes are decoded when an explanation is requested, which is rare.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from bisect import bisect_left
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from .. import clock
+
+#: Time that a record covers, in s.
+SECONDS = 10.0
+#: Memory that Python needs for a chunk in addition to its bytes: two objects and two references, in bytes.
+OVERHEAD = 96
+#: Bytes of batches after which the size of a record is checked.
+_CHECKED_AFTER = 1 << 20
+#: Number of attempts to copy a record while the reader changes it.
+_TRIES = 100
+#: Number of sent messages after which their record is trimmed.
+_STEP = 64
+
+
+class Received(NamedTuple):
+    """Bytes of one call of `recv`; empty at the beginning of a connection.
+
+    Attributes:
+        time: Arrival, in s of `linkcore.clock.now`.
+        data: Received bytes.
+    """
+
+    time: float
+    data: bytes
+
+
+class FlightRecord:
+    """Bytes that one connection has received recently. Only the reader changes the record.
+
+    In normal operation, one call of `recv` returns one packet. The record then needs no check of its size, because it
+    has a maximum number of chunks, and packets have a maximum size. Other chunks are counted by `batch`.
+
+    Args:
+        most: Maximum number of chunks.
+        size: Maximum memory in bytes. If batches of packets exceed it, the oldest chunks are removed.
+
+    Attributes:
+        keep: Function that appends a chunk, and then its arrival time. Bytes and floats are appended alternately,
+            because the garbage collector of Python does not track them, unlike tuples.
+    """
+
+    def __init__(self, most: int, size: int) -> None:
+        self._entries: deque[bytes | float] = deque(maxlen=2 * most)
+        self.keep = self._entries.append
+        self._size = size
+        self._batched = 0
+
+    def batch(self, count: int) -> None:
+        """Count the bytes of a chunk that is not one packet. If there are too many, remove the oldest chunks."""
+        self._batched += count
+        if self._batched < _CHECKED_AFTER:
+            return
+        self._batched = 0
+        chunks = self.chunks
+        excess = sum(len(each.data) + OVERHEAD for each in chunks) - self._size
+        for each in chunks:
+            if excess <= 0:
+                break
+            excess -= len(each.data) + OVERHEAD
+            self._entries.popleft()
+            self._entries.popleft()
+
+    @property
+    def chunks(self) -> Sequence[Received]:
+        """Copy of the record, with the oldest chunk first. Any thread may read it."""
+        return [Received(time, data) for data, time in zip(*self.since(-math.inf), strict=False)]
+
+    def since(self, begin: float) -> tuple[list[bytes], list[float]]:
+        """Return the chunks that arrived at `begin` or later, and their times. Any thread may call this."""
+        entries: list[bytes | float] = []
+        for _ in range(_TRIES):
+            try:
+                entries = list(self._entries)
+                break
+            except RuntimeError:  # the reader has changed it meanwhile
+                continue
+        if entries and not isinstance(entries[0], bytes):  # copied while the oldest chunk was being replaced
+            del entries[0]
+        data, times = entries[::2], entries[1::2]
+        first = bisect_left(times, begin)
+        return data[first:], times[first:]  # type: ignore[return-value]
+
+
+class Sent(NamedTuple):
+    """Bytes that were passed to the kernel.
+
+    Attributes:
+        time: Time of the call, in s of `linkcore.clock.now`.
+        channel: Receiver of the bytes, such as "primary".
+        data: First bytes of the message, at most `LONGEST`.
+    """
+
+    time: float
+    channel: str
+    data: bytes
+
+
+#: Maximum number of bytes that are kept of one sent message.
+LONGEST = 2048
+
+
+class SentRecord:
+    """Bytes that were sent to one robot in the last `SECONDS`. Any thread may add to it.
+
+    Args:
+        most: Maximum memory of the record, in bytes.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._entries: list[Sent] = []
+        self._trim_at = _STEP
+        self._trimming = threading.RLock()  # re-entrant, because a signal handler might send
+
+    def keep(self, channel: str, data: bytes | memoryview) -> None:
+        """Record the bytes of one call of `send`."""
+        now = clock.now()
+        self._entries.append(Sent(now, channel, bytes(data[:LONGEST])))
+        if len(self._entries) >= self._trim_at:
+            with self._trimming:
+                self._trim(now)
+
+    def _trim(self, now: float) -> None:
+        entries = list(self._entries)
+        size = sum(len(each.data) + 2 * OVERHEAD for each in entries)
+        first = 0
+        while first < len(entries) and (size > self._most or entries[first].time < now - SECONDS):
+            size -= len(entries[first].data) + 2 * OVERHEAD
+            first += 1
+        del self._entries[:first]
+        self._trim_at = len(self._entries) + _STEP
+
+    @property
+    def messages(self) -> Sequence[Sent]:
+        """Copy of the record, with the oldest message first."""
+        return list(self._entries)

@@ -1,0 +1,545 @@
+"""Drawn commands to a simulated arm with limits: how many are accepted, and whether the arm ever leaves the limits.
+
+    python -m tests.urlink.session.limits_drawn --each 1000 --seed 45
+
+Each command is drawn by a seed, and sent over a connection with limits. If it is refused, the same command is sent from
+the same position over a connection without limits. So the report tells for every kind how many commands the arm could
+have executed within the limits, how many of them were accepted, and how many accepted commands have left the limits.
+The limits are compared with the targets of the simulated arm in every cycle of its controller.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import itertools
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from typing import Any
+
+import numpy as np
+
+import urlink
+from linkcore.errors import LinkError
+from urlink import Circular, Joint, LimitExceeded, Linear, SessionLimits, Trajectory, TrajectoryPoint
+from urlink.arm.kinematics import Arm
+from urlink.arm.vectors import FloatArray
+from urlink.robot import Robot
+from urlink.session.session_limits import KINDS
+from urlink.simulator import Controller
+
+#: Box of the TCP, and the part of it in which motions begin, in m in the base frame of the arm.
+BOX = ((-0.75, -0.40, 0.10), (-0.25, 0.25, 0.60))
+#: Limits of the speeds, in m/s and rad/s.
+TOOL_SPEED, JOINT_SPEED = 0.25, 1.0
+LIMITS = SessionLimits(tool_speed=TOOL_SPEED, joint_speed=JOINT_SPEED, box=BOX, allowed=KINDS)
+#: Fraction by which a speed may exceed its limit before it counts as outside. Predictions are computed from samples.
+SLACK = 2e-3
+#: Joint positions near all starts, in rad: elbow up, tool down.
+READY = np.array([0.0, -1.6, 1.9, -1.9, -1.57, 0.0])
+#: Longest time to wait for the end of a motion, in s of the simulated clock.
+TIMEOUT = 120.0
+#: Commands in one simulated world, and arms by their firmware.
+_CHUNK, _ARMS = 20, (("ur5", "3.15"),) * 9 + (("ur5e", "5.11"),)
+#: First firmware with direct torque, for impedances of the joints.
+_TORQUE = ("ur5e", "5.25")
+
+
+@dataclass
+class Tally:
+    """Figures of one kind.
+
+    Attributes:
+        commands: Number of drawn commands.
+        accepted: Number of accepted commands.
+        inside: Number of commands that stay within the limits.
+        accepted_inside: Number of accepted commands among them.
+        escaped: Descriptions of accepted commands that have left the limits.
+        box, tool_speed, joint_speed: Largest distance outside of the box in m, and largest speeds in m/s and rad/s, of
+            the accepted commands.
+    """
+
+    commands: int = 0
+    accepted: int = 0
+    inside: int = 0
+    accepted_inside: int = 0
+    escaped: list[str] = field(default_factory=list)
+    refused: list[str] = field(default_factory=list)
+    box: float = -np.inf
+    tool_speed: float = 0.0
+    joint_speed: float = 0.0
+
+    def add(self, other: Tally) -> None:
+        """Add the figures of other commands."""
+        for name in ("commands", "accepted", "inside", "accepted_inside"):
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+        for name in ("box", "tool_speed", "joint_speed"):
+            setattr(self, name, max(getattr(self, name), getattr(other, name)))
+        self.escaped += other.escaped
+        self.refused += other.refused
+
+    def __str__(self) -> str:
+        share = self.accepted_inside / self.inside if self.inside else 1.0
+        return (
+            f"{self.commands:5d} drawn {self.accepted:5d} accepted {self.inside:5d} stay inside, of which accepted "
+            f"{self.accepted_inside:5d} = {share:7.2%}; outside {len(self.escaped):3d}; box {self.box * 1e3:+8.2f} mm, "
+            f"tool {self.tool_speed:.4f} m/s, joint {self.joint_speed:.4f} rad/s"
+        )
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the arm did: distance outside of the box in m, and largest speeds in m/s and rad/s."""
+
+    box: float
+    tool_speed: float
+    joint_speed: float
+    error: str = ""
+
+    @property
+    def is_inside(self) -> bool:
+        """Whether the arm stayed within the limits."""
+        return (
+            self.box <= 0.0
+            and self.tool_speed <= TOOL_SPEED * (1.0 + SLACK)
+            and self.joint_speed <= JOINT_SPEED * (1.0 + SLACK)
+        )
+
+
+#: A drawn command: it is executed on a robot, and returns when the arm is at rest.
+Command = Callable[["Bench"], None]
+
+
+class Bench:
+    """Simulated arm with two connections: one with limits, one without."""
+
+    def __init__(self, controller: Controller, limited: Robot, free: Robot, rng: np.random.Generator) -> None:
+        self.controller, self.limited, self.free, self.rng = controller, limited, free, rng
+        self.robot = limited
+        self.arm: Arm = free.kinematics
+        self.rows: list[tuple[FloatArray, FloatArray]] = []
+        self.cycle = 1.0 / free.firmware.rate
+        free.realtime.subscribe(lambda state: self.rows.append((state.q_target, state.qd_target)), inline=True)
+        free.realtime.wait()
+
+    @property
+    def motion(self) -> Any:
+        """Motions of the robot that executes the command now."""
+        return self.robot.motion
+
+    def rest(self) -> None:
+        """Wait until the arm is at rest."""
+        # Two cycles later the last packet of a motion has arrived.
+        self.free.realtime.wait_until(lambda state: not state.qd_target.any(), TIMEOUT)
+
+    def start(self) -> FloatArray:
+        """Return the positions from which the next command begins: those of the arm, or others if it is outside."""
+        q = self.free.realtime.wait().q_target
+        place, (low, high) = self.arm.forward(q)[:3], np.array(BOX)
+        is_inside = (place > low + 0.01).all() and (place < high - 0.01).all() and np.abs(q - READY).max() < 1.5
+        return q if is_inside else self.joints()
+
+    def place(self, q: FloatArray) -> None:
+        """Bring the arm to a position, over the connection without limits."""
+        if np.abs(self.free.realtime.wait().q_target - q).max() < 1e-6:
+            return
+        self.free.motion.move_joints(q, speed=3.0, acceleration=15.0).wait(TIMEOUT)
+        self.rest()
+
+    def run(self, command: Command, robot: Robot) -> Seen | LimitExceeded:
+        """Execute a command; return what the arm did, or the refusal if nothing was sent."""
+        self.robot = robot
+        newest = self.free.realtime.latest
+        assert newest is not None
+        self.rows[:] = [(newest.q_target, newest.qd_target)]
+        error = ""
+        refusal = None
+        try:
+            command(self)
+        except LimitExceeded as exceeded:
+            refusal = exceeded
+        except LinkError as failed:
+            error = f"{type(failed).__name__}: {failed}"
+        self.rest()
+        if "SafetyStop" in error:
+            self.unlock()
+        seen = self.seen(error)
+        if refusal is not None and seen.is_inside:
+            return refusal
+        return seen
+
+    def unlock(self) -> None:
+        """End a protective stop."""
+        self.free.realtime.wait_until(lambda state: True)
+        urlink_clock_sleep(6.0)
+        with contextlib.suppress(LinkError):
+            self.free.dashboard.unlock_protective_stop()
+        urlink_clock_sleep(1.0)
+
+    def seen(self, error: str) -> Seen:
+        """Return what the arm did since the command began."""
+        q, qd = (np.array(each) for each in zip(*self.rows, strict=True))
+        places = self.arm.forward(q)[:, :3]
+        low, high = np.array(BOX)
+        speeds = np.linalg.norm(np.einsum("nij,nj->ni", self.arm.jacobian(q)[:, :3], qd), axis=1)
+        outside = float(np.maximum(low - places, places - high).max())
+        return Seen(outside, float(speeds.max()), float(np.abs(qd).max()), error)
+
+    # -- drawing -----------------------------------------------------------------------------------------
+
+    def pose(self, wider: float = 0.0) -> FloatArray:
+        """Draw a pose with the tool about downwards: in the box, or `wider` m around it."""
+        low, high = np.array(BOX)
+        place = self.rng.uniform(low + 0.01 - wider, high - 0.01 + wider)
+        turn = np.array([np.pi, 0.0, 0.0]) + self.rng.uniform(-0.3, 0.3, 3)
+        return np.concatenate([place, turn])
+
+    def joints(self, wider: float = 0.0) -> FloatArray:
+        """Draw joint positions whose TCP is in the box, or `wider` m around it."""
+        while True:
+            with contextlib.suppress(LinkError):
+                q: FloatArray = self.arm.inverse(self.pose(wider), READY)
+                if np.abs(q - READY).max() < 2.0:
+                    return q
+
+    def goal(self, wider: float = 0.0) -> FloatArray:
+        """Draw joint positions on the way from the arm to positions in the box, or `wider` m around it."""
+        here = self.free.realtime.wait().q_target
+        return np.asarray(here + (self.joints(wider) - here) * self.rng.uniform(0.1, 0.6))
+
+    def goal_pose(self, wider: float = 0.0) -> FloatArray:
+        """Draw a pose whose position is on the way from the tool to a position in the box, or `wider` m around it."""
+        here = self.arm.forward(self.free.realtime.wait().q_target)
+        pose = self.pose(wider)
+        pose[:3] = here[:3] + (pose[:3] - here[:3]) * self.rng.uniform(0.1, 0.6)
+        return pose
+
+    def log(self, low: float, high: float) -> float:
+        """Draw a number whose logarithm is uniform."""
+        return float(np.exp(self.rng.uniform(np.log(low), np.log(high))))
+
+    def way(self, size: float) -> FloatArray:
+        """Draw a vector with a uniform direction and this length."""
+        vector = self.rng.normal(size=3)
+        return np.asarray(size * vector / np.linalg.norm(vector))
+
+
+def urlink_clock_sleep(seconds: float) -> None:
+    """Sleep on the simulated clock."""
+    from linkcore import clock
+
+    clock.sleep(seconds)
+
+
+# -- kinds -------------------------------------------------------------------------------------------------
+
+
+def move_joints(bench: Bench) -> Command:
+    q, speed, acceleration = bench.goal(0.3), bench.log(0.15, 1.5), bench.log(1.0, 5.0)
+    how: dict[str, float] = {"speed": speed, "acceleration": acceleration}
+    if bench.rng.random() < 0.25:
+        how = {"time": bench.log(0.5, 5.0)}
+    return lambda on: on.motion.move_joints(q, **how).wait(TIMEOUT)
+
+
+def move_linear(bench: Bench) -> Command:
+    pose, speed, acceleration = bench.goal_pose(0.3), bench.log(0.1, 0.4), bench.log(0.5, 3.0)
+    how: dict[str, float] = {"speed": speed, "acceleration": acceleration}
+    if bench.rng.random() < 0.25:
+        how = {"time": bench.log(1.0, 5.0)}
+    return lambda on: on.motion.move_linear(pose, **how).wait(TIMEOUT)
+
+
+def move_circular(bench: Bench) -> Command:
+    via, to, speed = bench.goal_pose(0.1), bench.goal_pose(0.1), bench.log(0.15, 0.4)
+    return lambda on: on.motion.move_circular(via, to, speed, 1.0).wait(TIMEOUT)
+
+
+def path(bench: Bench) -> Command:
+    points: list[Any] = []
+    for number in range(3):
+        blend = float(bench.rng.uniform(0.0, 0.04)) if number < 2 and bench.rng.random() < 0.7 else 0.0
+        what = bench.rng.random()
+        if what < 0.4:
+            points.append(Joint(bench.goal(), blend=blend))
+        elif what < 0.8:
+            points.append(Linear(bench.goal_pose(), blend=blend))
+        else:
+            points.append(Circular(bench.goal_pose(), bench.goal_pose(), blend=blend))
+    speed, joint_speed = bench.log(0.15, 0.3), bench.log(0.15, 0.5)
+    return lambda on: on.motion.path(points, speed, 1.0, joint_speed=joint_speed).wait(TIMEOUT)
+
+
+def speed_joints(bench: Bench) -> Command:
+    qd = bench.rng.normal(size=6) * bench.log(0.03, 0.6)
+    duration, acceleration = bench.log(0.1, 1.5), bench.log(0.5, 4.0)
+
+    def command(on: Bench) -> None:
+        motion = on.motion.speed_joints(qd, acceleration, duration=duration)
+        if duration <= 0.5:
+            # The next call continues the motion before the first speed has expired.
+            urlink_clock_sleep(0.5 * duration)
+            motion = on.motion.speed_joints(qd, acceleration, duration=duration)
+        motion.wait(TIMEOUT)
+
+    return command
+
+
+def speed_linear(bench: Bench) -> Command:
+    xd = np.concatenate([bench.way(bench.log(0.02, 0.4)), bench.rng.normal(size=3) * 0.1])
+    duration, acceleration = bench.log(0.1, 1.5), bench.log(0.3, 3.0)
+
+    def command(on: Bench) -> None:
+        motion = on.motion.speed_linear(xd, acceleration, duration=duration)
+        if duration <= 0.5:
+            urlink_clock_sleep(0.5 * duration)
+            motion = on.motion.speed_linear(xd, acceleration, duration=duration)
+        motion.wait(TIMEOUT)
+
+    return command
+
+
+def _trajectory(bench: Bench, start: FloatArray) -> Trajectory:
+    rows = [start, *(bench.goal(0.2) for _ in range(2))]
+    reach = [float(np.abs(b - a).max()) for a, b in itertools.pairwise(rows)]
+    times = np.concatenate([[0.0], np.cumsum([max(each / bench.log(0.2, 0.6), 0.2) for each in reach])])
+    return Trajectory.from_arrays(times, rows)
+
+
+def follow(bench: Bench) -> Command:
+    trajectory = _trajectory(bench, bench.free.realtime.wait().q_target)
+    low_bandwidth = bool(bench.rng.random() < 0.3)
+    return lambda on: on.motion.follow(trajectory, low_bandwidth=low_bandwidth).wait(TIMEOUT)
+
+
+def servo(bench: Bench) -> Command:
+    begin, end = bench.free.realtime.wait().q_target, bench.goal(0.25)
+    if bench.rng.random() < 0.4:
+        # The second target follows while the arm moves to the first one, which is well inside.
+        targets = [bench.goal(-0.08), end] if bench.rng.random() < 0.3 else [end]
+        speed, acceleration, pause = bench.log(0.1, 0.6), bench.log(1.0, 5.0), bench.log(0.1, 1.0)
+
+        def filtered(on: Bench) -> None:
+            with on.motion.servo(
+                target_filter="jerk_limited", speed=speed, acceleration=acceleration, jerk=40.0
+            ) as loop:
+                for target in targets:
+                    if target is not targets[0]:
+                        urlink_clock_sleep(pause)
+                    loop.send(target)
+                on.robot.realtime.wait_until(
+                    lambda state: bool(np.abs(state.q_target - targets[-1]).max() < 1e-4), TIMEOUT
+                )
+
+        return filtered
+    seconds = float(np.abs(end - begin).max()) / bench.log(0.2, 0.6) + 0.3
+
+    def looped(on: Bench) -> None:
+        first = None
+        with on.motion.servo() as loop:
+            for state in on.robot.realtime:
+                first = state.time if first is None else first
+                u = (state.time - first) / seconds
+                if u > 1.05:
+                    break
+                u = min(u, 1.0)
+                loop.send(begin + (10.0 - 15.0 * u + 6.0 * u * u) * u**3 * (end - begin))
+
+    return looped
+
+
+def stream(bench: Bench) -> Command:
+    trajectory = _trajectory(bench, bench.free.realtime.wait().q_target)
+    has_speeds = bool(bench.rng.random() < 0.6)
+    points = [
+        TrajectoryPoint(q, t, qd if has_speeds else None)
+        for q, t, qd in zip(trajectory.q, trajectory.time.tolist(), trajectory.qd, strict=True)
+    ]
+    replaced = None
+    if bench.rng.random() < 0.4:
+        replaced = TrajectoryPoint(bench.goal(), float(trajectory.time[-1]) + 1.0, np.zeros(6))
+
+    def command(on: Bench) -> None:
+        with on.motion.stream() as flow:
+            flow.append(points)
+            if replaced is not None:
+                flow.replace(flow.time + 0.3, replaced)
+            flow.wait_until_dry(TIMEOUT)
+
+    return command
+
+
+def jog(bench: Bench) -> Command:
+    frame: Any = bench.rng.choice(["joints", "base", "tool"])
+    timeout = float(bench.rng.uniform(0.1, 0.5))
+    moves = []
+    for _ in range(3):
+        if frame == "joints":
+            speeds = bench.rng.normal(size=6) * bench.log(0.03, 0.3)
+        else:
+            speeds = np.concatenate([bench.way(bench.log(0.02, 0.3)), bench.rng.normal(size=3) * 0.1])
+        # The next speeds follow when these have expired: while the arm brakes, or when it is at rest.
+        moves.append((speeds, timeout + float(bench.rng.choice([0.0, 0.05, 0.6]))))
+
+    def command(on: Bench) -> None:
+        with on.motion.jog(str(frame), timeout=timeout) as handle:
+            for speeds, pause in moves:
+                handle.move(speeds)
+                urlink_clock_sleep(pause)
+
+    return command
+
+
+def until_contact(bench: Bench) -> Command:
+    direction, speed, distance = bench.way(1.0), bench.log(0.05, 0.3), bench.log(0.02, 0.3)
+
+    def command(on: Bench) -> None:
+        with contextlib.suppress(urlink.NoContact):
+            on.motion.until_contact(direction, speed, distance=distance, force=50.0).wait(TIMEOUT)
+
+    return command
+
+
+def force_mode(bench: Bench) -> Command:
+    selection = [int(each) for each in bench.rng.random(3) < 0.5] + [0, 0, 0]
+    wrench = [*bench.way(bench.log(2.0, 30.0)), 0.0, 0.0, 0.0]
+    speed, seconds = bench.log(0.02, 0.3), bench.log(0.2, 2.0)
+    fastest = [speed if each else 0.1 for each in selection[:3]] + [0.3] * 3
+
+    def command(on: Bench) -> None:
+        with (
+            on.motion.force_mode("base", selection, wrench, fastest) as pressing,
+            contextlib.suppress(urlink.LinkTimeout),
+        ):
+            pressing.wait(seconds)
+
+    return command
+
+
+def impedance(bench: Bench) -> Command:
+    begin, end = bench.free.realtime.wait().q_target, bench.joints(0.05)
+    target = begin + (end - begin) * bench.log(0.05, 1.0)
+    speed, seconds = bench.log(0.1, 1.3), bench.log(0.5, 4.0)
+
+    def command(on: Bench) -> None:
+        with on.motion.impedance(speed=speed) as soft:
+            soft.send(target)
+            with contextlib.suppress(urlink.LinkTimeout):
+                soft.wait(seconds)
+
+    return command
+
+
+DRAWN: dict[str, Callable[[Bench], Command]] = {
+    each.__name__: each
+    for each in (
+        move_joints,
+        move_linear,
+        move_circular,
+        path,
+        speed_joints,
+        speed_linear,
+        follow,
+        servo,
+        stream,
+        jog,
+        until_contact,
+        force_mode,
+        impedance,
+    )
+}
+
+
+# -- measuring -----------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def bench(arm: str, firmware: str, rng: np.random.Generator) -> Iterator[Bench]:
+    """Yield a simulated arm with both connections."""
+    with (
+        Controller(model=arm, firmware=firmware, noise=False) as controller,
+        urlink.connect(controller.address, limits=LIMITS) as limited,
+        urlink.connect(controller.address) as free,
+    ):
+        yield Bench(controller, limited, free, rng)
+
+
+def measured(kind: str, seed: int, number: int, count: int) -> Tally:
+    """Execute `count` drawn commands of one kind in a new simulated world; return the figures."""
+    tally = Tally()
+    arm, firmware = _TORQUE if kind == "impedance" else _ARMS[number % len(_ARMS)]
+    with urlink.simulated_time():
+        rng = np.random.default_rng([seed, sorted(DRAWN).index(kind), number])
+        with bench(arm, firmware, rng) as on:
+            for _ in range(count):
+                measure_one(kind, on, tally)
+    return tally
+
+
+def measure_one(kind: str, on: Bench, tally: Tally) -> None:
+    """Execute one drawn command, and add its figures to the tally."""
+    start = on.start()
+    on.place(start)
+    command = DRAWN[kind](on)
+    tally.commands += 1
+    seen = on.run(command, on.limited)
+    if isinstance(seen, Seen):
+        tally.accepted += 1
+        tally.box, tally.tool_speed = max(tally.box, seen.box), max(tally.tool_speed, seen.tool_speed)
+        tally.joint_speed = max(tally.joint_speed, seen.joint_speed)
+        if not seen.is_inside:
+            tally.escaped.append(f"{kind} {tally.commands}: {seen}")
+        elif not seen.error:
+            tally.inside += 1
+            tally.accepted_inside += 1
+        return
+    on.place(start)
+    free = on.run(command, on.free)
+    assert isinstance(free, Seen)
+    if free.is_inside and not free.error:
+        tally.inside += 1
+        tally.refused.append(f"{kind} {tally.commands}: {seen} but {free}")
+
+
+def _of_chunk(job: tuple[str, int, int, int]) -> tuple[str, Tally]:
+    return job[0], measured(*job)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Measure all kinds, print one line for each, and return 1 if an arm has left the limits."""
+    parser = argparse.ArgumentParser(prog="limits_drawn", description=__doc__.splitlines()[0])
+    parser.add_argument("--each", type=int, default=1000, help="commands of each kind (default: 1000)")
+    parser.add_argument("--seed", type=int, default=45, help="seed (default: 45)")
+    parser.add_argument("--jobs", type=int, default=1, help="processes (default: 1)")
+    parser.add_argument("--kinds", nargs="*", choices=sorted(DRAWN), default=list(DRAWN), help="kinds (default: all)")
+    parser.add_argument("--minutes", type=float, default=np.inf, help="stop after this time (default: never)")
+    parser.add_argument("--show", action="store_true", help="show commands that were wrongly accepted or refused")
+    args = parser.parse_args(arguments)
+    jobs = [
+        (kind, args.seed, first // _CHUNK, min(_CHUNK, args.each - first))
+        for kind in args.kinds
+        for first in range(0, args.each, _CHUNK)
+    ]
+    until = time.monotonic() + 60.0 * args.minutes
+    totals = {kind: Tally() for kind in args.kinds}
+    with (
+        get_context("spawn").Pool(args.jobs, maxtasksperchild=8) if args.jobs > 1 else contextlib.nullcontext() as pool
+    ):
+        results = map(_of_chunk, jobs) if pool is None else pool.imap(_of_chunk, jobs)
+        for kind, tally in results:
+            totals[kind].add(tally)
+            is_over = time.monotonic() > until
+            if totals[kind].commands == args.each or is_over:
+                print(f"{kind:14}{totals[kind]}", flush=True)
+                if args.show:
+                    print(*(totals[kind].escaped + totals[kind].refused), sep="\n", flush=True)
+            if is_over:
+                break
+    return 1 if any(tally.escaped for tally in totals.values()) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
