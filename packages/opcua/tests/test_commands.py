@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import threading
 from collections.abc import Iterator
 
@@ -12,7 +13,7 @@ from asyncua.crypto.permission_rules import User, UserRole
 
 import urlink
 from urlink_opcua.access import Operator
-from urlink_opcua.commands import Outcome, RobotCommands
+from urlink_opcua.commands import PROGRAMS, Outcome, RobotCommands
 
 pytestmark = pytest.mark.real_time
 
@@ -61,6 +62,42 @@ def test_command_after_interruption_is_refused_but_not_a_stop(commands: RobotCom
         clock.time += 1.0
         ask(commands)
     assert ask(commands) == ua.StatusCodes.Good
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (urlink.BadValue("a"), ua.StatusCodes.BadInvalidArgument),
+        (urlink.Cancelled("a"), ua.StatusCodes.BadOperationAbandoned),
+        (urlink.LinkTimeout("a"), ua.StatusCodes.BadTimeout),
+        (urlink.ConnectionLost("a"), ua.StatusCodes.BadCommunicationError),
+        (urlink.LocalError("a"), ua.StatusCodes.BadNotSupported),
+        (urlink.NotRunning("a"), ua.StatusCodes.BadInvalidState),
+        (RuntimeError("a"), ua.StatusCodes.BadInternalError),
+    ],
+)
+def test_error_of_robot_becomes_status_and_text(
+    commands: RobotCommands, outcomes: list[Outcome], error: Exception, status: int
+) -> None:
+    def fail() -> None:
+        raise error
+
+    asyncio.run(commands.execute("Command", OPERATOR, "here", "programs", fail))
+    assert outcomes == [Outcome("Command", "operator (here)", status, "a")]
+
+
+def test_program_is_refused_by_limits_of_session() -> None:
+    outcomes: list[Outcome] = []
+    with urlink.connect("sim://ur5e?firmware=5.11", limits=urlink.SessionLimits(allowed=("move_joints",))) as robot:
+        robot.controller.pendant.files["pick.urp"] = "def pick():\n  sleep(600)\nend"
+        robot.dashboard.load("pick.urp")
+        commands = RobotCommands("arm", robot, allow=True, expiry=urlink.Expiry(0.0), report=outcomes.append)
+        play = functools.partial(PROGRAMS["PlayProgram"], robot)
+        status = asyncio.run(commands.execute("PlayProgram", OPERATOR, "here", "programs", play))
+        commands.close()
+        assert not robot.dashboard.running()
+    assert status.value == ua.StatusCodes.BadInvalidState
+    assert "dashboard.play is not allowed" in outcomes[0].message
 
 
 def test_stop_without_credentials_is_refused(commands: RobotCommands, outcomes: list[Outcome]) -> None:

@@ -23,6 +23,7 @@ from urlink import (
     ConnectFailed,
     ConnectionLost,
     Expiry,
+    LimitExceeded,
     LinkError,
     LinkTimeout,
     LocalError,
@@ -264,6 +265,7 @@ def _status(error: Exception) -> int:
         (Cancelled, ua.StatusCodes.BadOperationAbandoned),
         (LinkTimeout, ua.StatusCodes.BadTimeout),
         ((ConnectFailed, ConnectionLost), ua.StatusCodes.BadCommunicationError),
+        (LimitExceeded, ua.StatusCodes.BadInvalidState),
         (LocalError, ua.StatusCodes.BadNotSupported),
         (LinkError, ua.StatusCodes.BadInvalidState),
     ):
