@@ -14,7 +14,6 @@ import pytest
 from asyncua import Client, ua
 from asyncua.common.connection import MessageChunk
 from asyncua.crypto import uacrypto
-from asyncua.crypto.permission_rules import UserRole
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
@@ -25,7 +24,7 @@ import urlink
 from packages.opcua.tests.clients import PASSWORD, Keys, call, certificate, connected, read, run, write
 from packages.opcua.tests.conftest import serving
 from urlink_opcua import Access, Server, cli
-from urlink_opcua.access import Operator, read_certificate, read_private_key
+from urlink_opcua.access import read_certificate, read_private_key
 
 pytestmark = pytest.mark.real_time
 
@@ -197,13 +196,6 @@ def test_session_loses_rights_after_failed_login(server: Server, keys: dict[str,
             assert not await may_command(client)
 
     run(main())
-
-
-def test_operator_with_expired_certificate_is_refused() -> None:
-    now = datetime.datetime.now(datetime.timezone.utc)
-    assert Operator(UserRole.User, "a", now).has_expired
-    assert not Operator(UserRole.User, "a", now + datetime.timedelta(hours=1)).has_expired
-    assert not Operator(UserRole.User, "a").has_expired
 
 
 def test_client_cannot_change_address_space(server: Server, keys: dict[str, Keys]) -> None:

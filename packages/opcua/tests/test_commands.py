@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import datetime
 import functools
 import threading
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ from asyncua import ua
 from asyncua.crypto.permission_rules import User, UserRole
 
 import urlink
+from tests.waiting import until
 from urlink_opcua.access import Operator
 from urlink_opcua.commands import PROGRAMS, Outcome, RobotCommands
 
@@ -98,6 +100,32 @@ def test_program_is_refused_by_limits_of_session() -> None:
         assert not robot.dashboard.running()
     assert status.value == ua.StatusCodes.BadInvalidState
     assert "dashboard.play is not allowed" in outcomes[0].message
+
+
+def test_stop_does_not_wait_for_dashboard_that_hangs() -> None:
+    with urlink.connect("sim://ur5e?firmware=5.11", silence=20.0, stale_after=20.0) as robot:
+        robot.controller.pendant.files["turn.urp"] = (
+            "def turn():\n  movej([3.0, -1.5, 1.5, -1.5, -1.5, 0.0], a=1.4, v=0.05)\nend"
+        )
+        robot.dashboard.load("turn.urp")
+        robot.dashboard.play()
+        until(lambda: robot.realtime.wait().qd_target.any())
+        robot.controller.faults.stall(30.0, "dashboard")
+        commands = RobotCommands("arm", robot, allow=True, expiry=urlink.Expiry(0.0), report=lambda outcome: None)
+        before = robot.realtime.wait().time
+        stop = functools.partial(PROGRAMS["StopProgram"], robot)
+        asyncio.run(commands.execute("StopProgram", OPERATOR, "here", "stops", stop))
+        until(lambda: not robot.realtime.wait().qd_target.any())
+        # A reply of the dashboard is awaited for 5 s.
+        assert robot.realtime.wait().time - before < 4.5
+        commands.close()
+
+
+def test_certificate_that_expires_after_login_gives_no_permission(commands: RobotCommands) -> None:
+    now = datetime.datetime.now(datetime.timezone.utc)
+    assert ask(commands, user=Operator(UserRole.User, "a", now)) == ua.StatusCodes.BadUserAccessDenied
+    later = Operator(UserRole.User, "a", now + datetime.timedelta(hours=1))
+    assert ask(commands, user=later) == ua.StatusCodes.Good
 
 
 def test_stop_without_credentials_is_refused(commands: RobotCommands, outcomes: list[Outcome]) -> None:

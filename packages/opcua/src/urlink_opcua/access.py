@@ -144,14 +144,14 @@ class Access:
         return User(UserRole.User, "anonymous") if self.anonymous else None
 
 
-class NoSecurity(SecurityPolicyNone):  # type: ignore[misc, unused-ignore]  # Any, if asyncua is not installed
+class NoSecurity(SecurityPolicyNone):
     """Channel without security. It ignores a certificate of the client, because nothing proves its possession."""
 
     def __init__(self, peer_cert: Any = None, *args: Any, **kwargs: Any) -> None:
         super().__init__(None, *args, **kwargs)
 
 
-class ChannelRules(PermissionRuleset):  # type: ignore[misc, unused-ignore]
+class ChannelRules(PermissionRuleset):
     """Requests that a channel permits.
 
     Args:
@@ -198,7 +198,7 @@ class Requests(Protocol):
         """Write an attribute."""
 
 
-class Session(InternalSession):  # type: ignore[misc, unused-ignore]
+class Session(InternalSession):
     """Session of one client. Its commands go to `Requests`, which checks them."""
 
     iserver: InternalServer
@@ -248,7 +248,7 @@ class Session(InternalSession):  # type: ignore[misc, unused-ignore]
         return [await self.iserver.requests.write(self, each) for each in params.NodesToWrite]
 
 
-class InternalServer(AsyncuaInternalServer):  # type: ignore[misc, unused-ignore]
+class InternalServer(AsyncuaInternalServer):
     """Part of asyncua's server that makes sessions.
 
     Args:

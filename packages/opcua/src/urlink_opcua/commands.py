@@ -13,6 +13,7 @@ import logging
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import TimeoutError as FutureTimeout
 
 from asyncua import ua
 from asyncua.crypto.permission_rules import User
@@ -54,11 +55,14 @@ def _play(robot: Robot) -> None:
 
 
 def _stop(robot: Robot) -> None:
+    dashboard = ThreadPoolExecutor(1, "stop program")
+    answer = dashboard.submit(robot.dashboard.stop)
+    dashboard.shutdown(wait=False)
     try:
-        robot.dashboard.stop()
-    except LinkError as error:
-        # An e-Series in local mode refuses, and a dashboard might be lost. Then a script stops the arm.
-        _log.info("the dashboard did not stop a program (%s); stopping the arm with a script", error)
+        answer.result(_PATIENCE)
+    except (FutureTimeout, LinkError) as error:
+        # An e-Series in local mode refuses, and a dashboard might hang or be lost. Then a script stops the arm.
+        _log.info("the dashboard did not stop a program (%r); stopping the arm with a script", error)
         robot.motion.stop()
 
 
