@@ -126,6 +126,8 @@ def test_program_of_another_arm_is_refused(tmp_path: Path) -> None:
         (gzip.compress(b"<Other/>"), "the first element is 'Other'; expected the URProgram"),
         (gzip.compress(b'<!DOCTYPE a [<!ENTITY b "c">]><URProgram>&b;</URProgram>'), "has a document type"),
     ],
+    # Compressed data contains the time, so pytest would give other names to the cases in each process.
+    ids=["plain", "empty", "cut off", "not closed", "unknown encoding", "other element", "document type"],
 )
 def test_other_file_is_refused(tmp_path: Path, data: bytes, message: str) -> None:
     with pytest.raises(BadValue, match=f"pick.urp: .*{message}"):
