@@ -172,6 +172,7 @@ PACKAGES: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(LIGHT, ()),
     "mujoco": (UR_RTDE,),
     "mqtt": (),
+    "opcua": (),
     "files": (),
     "prometheus": (),
     "rr": (),

@@ -29,6 +29,7 @@ MIDDLEWARES = {
     "mujoco",
     "draccus",
     "prometheus_client",
+    "asyncua",
     "asyncssh",
     "torch",
     "fastapi",

@@ -83,7 +83,10 @@ if TYPE_CHECKING:
     from .group import Group as Group
     from .protocol.dashboard.client import Dashboard as Dashboard
     from .protocol.dashboard.commands import DashboardRefused as DashboardRefused
-    from .protocol.gripper.client import Gripper as Gripper, GripperFault as GripperFault
+    from .protocol.gripper.client import Gripper as Gripper
+    from .protocol.gripper.robotiq import GripperFault as GripperFault
+    from .protocol.gripper.onrobot import RGGripper as RGGripper
+    from .protocol.gripper.vacuum import VacuumGripper as VacuumGripper
     from .protocol.rtde.protocol import (
         InputInUse as InputInUse,
         NoSuchVariable as NoSuchVariable,
@@ -138,7 +141,10 @@ else:
             ".group": "Group",
             ".protocol.dashboard.client": "Dashboard",
             ".protocol.dashboard.commands": "DashboardRefused",
-            ".protocol.gripper.client": "Gripper GripperFault",
+            ".protocol.gripper.client": "Gripper",
+            ".protocol.gripper.robotiq": "GripperFault",
+            ".protocol.gripper.onrobot": "RGGripper",
+            ".protocol.gripper.vacuum": "VacuumGripper",
             ".protocol.rtde.protocol": "InputInUse NoSuchVariable RtdeRefused",
             ".arm.kinematics.arm": "Unreachable",
             ".arm.models": "UnknownModel",

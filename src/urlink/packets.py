@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from urlink.protocol.dashboard.protocol import ProgramStatus as ProgramStatus, SavedProgram as SavedProgram
     from urlink.protocol.dashboard.stored_programs import StoredProgram as StoredProgram
     from urlink.protocol.gripper.client import GripperStatus as GripperStatus, ObjectStatus as ObjectStatus
+    from urlink.protocol.gripper.onrobot import RGStatus as RGStatus
+    from urlink.protocol.gripper.vacuum import SuctionStatus as SuctionStatus, VacuumStatus as VacuumStatus
     from urlink.protocol.enums import (
         AnalogDomain as AnalogDomain,
         ControlMode as ControlMode,
@@ -90,6 +92,8 @@ else:
             "urlink.protocol.dashboard.protocol": "ProgramStatus SavedProgram",
             "urlink.protocol.dashboard.stored_programs": "StoredProgram",
             "urlink.protocol.gripper.client": "GripperStatus ObjectStatus",
+            "urlink.protocol.gripper.onrobot": "RGStatus",
+            "urlink.protocol.gripper.vacuum": "SuctionStatus VacuumStatus",
             "urlink.protocol.enums": """
                 AnalogDomain ControlMode DigitalBits JointMode MessageSource MessageType PackageType ProgramState
                 ReportLevel RobotMode RobotModeCB2 RobotType SafetyMode ToolMode

@@ -160,7 +160,14 @@ def simulated(place: SimulatorAddress) -> tuple[Controller, RobotAddress]:
 
     like = None if place.like is None else read_arm_file(place.like)
     motion = Demonstration() if place.motion == "demo" else None
-    controller = Controller(model=place.model, firmware=place.firmware, motion=motion, like=like, scene=place.scene)
+    controller = Controller(
+        model=place.model,
+        firmware=place.firmware,
+        motion=motion,
+        like=like,
+        scene=place.scene,
+        gripper=place.gripper or True,
+    )
     controller.start()
     served_at = parse_address(controller.address)
     assert isinstance(served_at, RobotAddress), "a controller that has been started is at ports of this computer"
@@ -440,7 +447,10 @@ class Robot(StrictAttributes, Closing):
 
     @property
     def gripper(self) -> Gripper:
-        """Robotiq gripper, over its URCap on the controller (port 63352). Gripper commands are not interlocked."""
+        """Robotiq gripper, over its URCap on the controller (port 63352). Gripper commands are not interlocked.
+
+        Call it for another kind: `robot.gripper("vacuum")`, or `robot.gripper("rg2", host="192.168.1.1")`.
+        """
         return self._commanded().gripper
 
     @property

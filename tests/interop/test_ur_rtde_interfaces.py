@@ -36,8 +36,8 @@ pytestmark = pytest.mark.real_time
 HOST = f"127.30.0.{4 + int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0')[2:])}"
 FLAG_UPLOAD_SCRIPT, FLAG_UPPER_RANGE_REGISTERS = 1, 8
 FIRMWARES = ["3.15", "5.4", "5.11", "5.25", "10.12"]
-#: The standard ports without the Robot API, which these tests do not use; its port 80 may need special rights.
-STANDARD = {name: number for name, number in PORTS.items() if name != "robot_api"}
+#: The standard ports without those that these tests do not use, and that may need special rights: 80 and 502.
+STANDARD = {name: number for name, number in PORTS.items() if name not in ("robot_api", "onrobot")}
 NEAR = [0.1, -1.4, 1.3, -1.5, -1.5, 0.2]
 
 

@@ -60,6 +60,7 @@ NAMES = [
     "Policy",
     "Program",
     "ProgramStopped",
+    "RGGripper",
     "RealtimeReport",
     "RealtimeState",
     "Recorder",
@@ -89,6 +90,7 @@ NAMES = [
     "TrajectoryPoint",
     "UnknownModel",
     "Unreachable",
+    "VacuumGripper",
     "WrongPeer",
     "block",
     "connect",
@@ -187,9 +189,9 @@ SURFACES = {
         has_velocities is_quintic plot points q qd qdd retimed sample time to_csv""",
     "robot.controller": """address arm call close counters cycle dashboard faults fieldbus firmware flags
         follow greeting gripper has_local_control host is_running_program is_serving is_up modbus model modes
-        passing pendant ports program_name push realtime_packet received registers remote_control robot_api rtde
-        schedule serial signals speed_fraction start state_package step stopped_since take take_messages teach_button
-        time tool_serial world""",
+        passing pendant ports program_name push realtime_packet received registers remote_control rg_gripper
+        robot_api rtde schedule serial signals speed_fraction start state_package step stopped_since take take_messages
+        teach_button time tool_serial vacuum_gripper world""",
     "robot.controller.world": """add carry clear contacts force_limit is_empty joint_torques load push push_joints
         remove scene wrench""",
     "robot.controller.gripper": """exchange fault holds_object is_active is_connected place position registers reply

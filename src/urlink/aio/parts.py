@@ -6,7 +6,7 @@ The module is imported when the first part is used, so a program that only reads
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Iterator
-from typing import TYPE_CHECKING, Any, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
 
 from linkcore.aio.async_stream import AsyncFeed, AsyncStream
 
@@ -18,6 +18,9 @@ from ..motion import Motions, Points, PointStream, Teaching, Wrench, WrenchStrea
 from ..motion.points.point import Point
 from ..protocol.dashboard.client import Dashboard
 from ..protocol.gripper.client import Gripper
+from ..protocol.gripper.onrobot import RGGripper, RGModel
+from ..protocol.gripper.vacuum import VacuumGripper
+from ..protocol.ports import PORTS
 from ..protocol.realtime.packets import RealtimeState
 from ..protocol.rtde.recipes import Outputs
 from ..protocol.tool_serial import ToolSerial
@@ -40,6 +43,7 @@ __all__ = [
     "AsyncOutputStream",
     "AsyncPointStream",
     "AsyncPoints",
+    "AsyncRGGripper",
     "AsyncRegisters",
     "AsyncRtde",
     "AsyncSafety",
@@ -47,6 +51,7 @@ __all__ = [
     "AsyncStream",
     "AsyncTeaching",
     "AsyncToolSerial",
+    "AsyncVacuumGripper",
     "AsyncWrenchStream",
 ]
 
@@ -252,6 +257,21 @@ class AsyncGripper(AwaitedPart[Gripper]):
 
     __slots__ = ()
 
+    @overload
+    def __call__(self, kind: Literal["vacuum"]) -> AsyncVacuumGripper: ...
+    @overload
+    def __call__(
+        self, kind: RGModel, *, host: str | None = None, port: int = PORTS["onrobot"], unit: int = 65
+    ) -> AsyncRGGripper: ...
+    def __call__(
+        self, kind: Any, *, host: str | None = None, port: int = PORTS["onrobot"], unit: int = 65
+    ) -> AsyncRGGripper | AsyncVacuumGripper:
+        """Return a gripper of another kind immediately; see `Gripper.__call__`. Its methods are awaitable."""
+        part: RGGripper | VacuumGripper = self._part(kind, host=host, port=port, unit=unit)
+        if isinstance(part, VacuumGripper):
+            return AsyncVacuumGripper(part, self._workers)
+        return AsyncRGGripper(part, self._workers)
+
     activate = awaited(Gripper.activate)
     close = awaited(Gripper.close)
     deactivate = awaited(Gripper.deactivate)
@@ -265,6 +285,39 @@ class AsyncGripper(AwaitedPart[Gripper]):
     status = awaited(Gripper.status)
     stop = stopping(Gripper.stop)
     wait = awaited(Gripper.wait)
+
+
+class AsyncRGGripper(AwaitedPart[RGGripper]):
+    """Awaitable version of `RGGripper`."""
+
+    __slots__ = ()
+
+    close = awaited(RGGripper.close)
+    move = awaited(RGGripper.move)
+    object_detected = awaited(RGGripper.object_detected)
+    open = awaited(RGGripper.open)
+    status = awaited(RGGripper.status)
+    stop = stopping(RGGripper.stop)
+    wait = awaited(RGGripper.wait)
+    width = awaited(RGGripper.width)
+
+
+class AsyncVacuumGripper(AwaitedPart[VacuumGripper]):
+    """Awaitable version of `VacuumGripper`."""
+
+    __slots__ = ()
+
+    activate = awaited(VacuumGripper.activate)
+    deactivate = awaited(VacuumGripper.deactivate)
+    get = awaited(VacuumGripper.get)
+    grip = awaited(VacuumGripper.grip)
+    object_detected = awaited(VacuumGripper.object_detected)
+    release = awaited(VacuumGripper.release)
+    set = awaited(VacuumGripper.set)
+    status = awaited(VacuumGripper.status)
+    stop = stopping(VacuumGripper.stop)
+    vacuum = awaited(VacuumGripper.vacuum)
+    wait = awaited(VacuumGripper.wait)
 
 
 class AsyncToolSerial(AwaitedPart[ToolSerial]):

@@ -28,6 +28,7 @@ _DISTRIBUTIONS = {
     "rr": ("urlink-rr", "a Robot Raconteur robot service"),
     "ros2": ("urlink-ros2", "a ROS 2 node with topics, services and FollowJointTrajectory"),
     "mqtt": ("urlink-mqtt", "an MQTT broker: status as retained JSON, and commands if allowed"),
+    "opcua": ("urlink-opcua", "an OPC UA server: state and registers as variables, methods for programs"),
     "prometheus": ("urlink-prometheus", "metrics at an HTTP port: streams, safety, temperatures, programs"),
 }
 

@@ -27,6 +27,7 @@ from ..command.settings import SettingChannel, Settings
 from ..diagnosis.flight import FlightRecorder
 from ..protocol.dashboard.client import Dashboard
 from ..protocol.gripper.client import Gripper
+from ..protocol.ports import PORTS
 from ..protocol.primary.robot_state import RobotState
 from ..protocol.realtime.packets import RealtimeState
 from ..protocol.tool_serial import ToolSerial
@@ -195,7 +196,12 @@ class Control:
             raise LocalError("the controller does not serve a gripper")
         hint = "a Robotiq gripper needs its URCap, which serves this port, on the controller"
         host, port = self._host, self._ports["gripper"]
-        make = partial(Gripper, host, port, timeout=self._timeout, refused=lambda: hint, undos=self._undos)
+        box = self._ports.get("onrobot")
+        # Port 502 of a real controller is its own Modbus server, so only another port is that of a simulated gripper.
+        own_box = None if box == PORTS["onrobot"] else box
+        make = partial(
+            Gripper, host, port, timeout=self._timeout, refused=lambda: hint, undos=self._undos, onrobot_port=own_box
+        )
         return self._once(self._gripper, make)
 
     @property

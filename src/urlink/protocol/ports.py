@@ -12,7 +12,7 @@ from typing import Literal, get_args
 
 from .firmware import Firmware
 
-#: Name of the port -> its number on a real controller.
+#: Name of the port -> its number on a real controller, or on a device of its tool.
 PORTS: Mapping[str, int] = MappingProxyType(
     {
         "primary": 30001,
@@ -27,6 +27,8 @@ PORTS: Mapping[str, int] = MappingProxyType(
         "interpreter": 30020,
         "gripper": 63352,
         "tool_serial": 54321,
+        # Port of OnRobot's Compute Box, which has its own address. A simulated controller serves it itself.
+        "onrobot": 502,
     }
 )
 

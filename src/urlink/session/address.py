@@ -16,6 +16,8 @@ from ..protocol.ports import PORTS
 
 #: Whether a simulated arm rests until a program commands it, or moves slowly around its home posture.
 Motion = Literal["still", "demo"]
+#: Grippers that the simulator can mount instead of a Robotiq 2F-85.
+Mounted = Literal["vacuum", "rg2", "rg6"]
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,7 @@ class SimulatorAddress:
 
     ``sim://ur5e?like=arm.json`` simulates the arm whose identified parameters are in that file.
     ``sim://ur5e?scene=table.xml`` places the arm among the bodies of that file, with an adapter such as urlink-mujoco.
+    ``sim://ur5e?gripper=vacuum`` mounts a vacuum gripper, and ``rg2`` or ``rg6`` one of OnRobot, instead of a 2F-85.
     """
 
     model: str | None = None
@@ -47,6 +50,7 @@ class SimulatorAddress:
     motion: Motion | None = None
     like: Path | None = None
     scene: Path | None = None
+    gripper: Mounted | None = None
 
 
 @dataclass(frozen=True)
@@ -67,7 +71,7 @@ def parse_address(text: str | os.PathLike[str]) -> Address:
         BadAddress: If the address is invalid. The message describes the error and the expected format.
 
     >>> parse_address("sim://ur10?motion=demo")
-    SimulatorAddress(model='ur10', firmware=None, motion='demo', like=None, scene=None)
+    SimulatorAddress(model='ur10', firmware=None, motion='demo', like=None, scene=None, gripper=None)
     >>> parse_address("ur://10.0.0.7?realtime=40003").ports["realtime"]
     40003
     """
@@ -122,21 +126,27 @@ def _robot(text: str, host: str | None, netloc: str, path: str, options: dict[st
 
 
 def _simulator(text: str, model: str, options: dict[str, str]) -> SimulatorAddress:
-    firmware, motion, like, scene = (options.pop(name, None) for name in ("firmware", "motion", "like", "scene"))
+    names = ("firmware", "motion", "like", "scene", "gripper")
+    firmware, motion, like, scene, gripper = (options.pop(name, None) for name in names)
     if options:
-        raise BadAddress(f"{text!r}: unknown option {next(iter(options))!r}; expected firmware, motion, like or scene")
+        raise BadAddress(
+            f"{text!r}: unknown option {next(iter(options))!r}; expected firmware, motion, like, scene or gripper"
+        )
     if like == "":
         raise BadAddress(f"{text!r}: like= names no file; expected like=arm.json, written by urlink identify")
     if scene == "":
         raise BadAddress(f"{text!r}: scene= names no file; expected scene=table.xml, with the bodies around the arm")
     if motion not in (None, "still", "demo"):
         raise BadAddress(f"{text!r}: motion={motion!r}; expected {' or '.join(get_args(Motion))}")
+    if gripper not in (None, *get_args(Mounted)):
+        raise BadAddress(f"{text!r}: gripper={gripper!r}; expected {' or '.join(get_args(Mounted))}")
     try:
         version = None if firmware is None else existing_firmware(firmware)
     except BadVersion as error:
         raise BadAddress(f"{text!r}: {error}") from None
-    files = [None if each is None else Path(each) for each in (like, scene)]
-    return SimulatorAddress(model or None, version, cast("Motion | None", motion), *files)
+    arm, bodies = (None if each is None else Path(each) for each in (like, scene))
+    mounted = cast("Mounted | None", gripper)
+    return SimulatorAddress(model or None, version, cast("Motion | None", motion), arm, bodies, mounted)
 
 
 def _recording(text: str, path: str, options: dict[str, str]) -> RecordingAddress:

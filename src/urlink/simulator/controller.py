@@ -9,9 +9,10 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import TracebackType
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeVar, get_args
 
 from linkcore import clock
+from linkcore.arguments import check_choice
 from linkcore.errors import BadValue, LocalError
 from linkcore.names import StrictAttributes
 from urlink.arm import models
@@ -22,11 +23,12 @@ from urlink.arm.models import Model
 from urlink.arm.parameters import is_assumed
 from urlink.protocol.firmware import NEWEST, RELEASES, Firmware
 from urlink.protocol.ports import PORTS, interface_of
-from urlink.session.address import RobotAddress
+from urlink.session.address import Mounted, RobotAddress
 
 from .control_loop import ControlLoop, SteppedClock, passing
 from .faults import Faults, FaultSchedule, LinkFaults, ScheduledFault
 from .faults.schedule import checked
+from .interfaces.compute_box import ComputeBoxInterface
 from .interfaces.dashboard import DashboardInterface
 from .interfaces.gripper import GripperInterface
 from .interfaces.interface import Interface, InterfaceClient, ScriptReceiver
@@ -45,9 +47,11 @@ from .robot.arm import SimulatedArm
 from .robot.characteristics import ScalingParameters
 from .robot.gripper import ModbusGripper, SimulatedGripper
 from .robot.modes import Modes
+from .robot.rg_gripper import SimulatedRGGripper
 from .robot.scene import open_scene
 from .robot.setpoint_sources import SetpointSource, Still
 from .robot.signals import ModbusSignals, Signals
+from .robot.suction import SimulatedVacuumGripper
 from .robot.surroundings import Surroundings
 from .state import ControllerState, Counters, firmware_for
 
@@ -56,6 +60,8 @@ if TYPE_CHECKING:
 
     from .server import Server
 
+G = TypeVar("G")
+
 _NEWEST_CB3 = [row.since for row in RELEASES if row.since.major == 3][-1]
 
 # Addresses that a server can listen on, but that a client cannot connect to.
@@ -63,7 +69,7 @@ _ALL_ADDRESSES = ("", "0.0.0.0", "::")
 # Source addresses that the operating system uses for connections to loopback addresses.
 _FIRST_LOOPBACK = ("127.0.0.1", "::1")
 # Port number of a real controller -> name of the port.
-_NAMES = {number: name for name, number in PORTS.items()}
+_NAMES = {number: name for name, number in PORTS.items() if name != "onrobot"}
 #: Maximum numbers of stored items: lines from clients, and robot messages of a stepped controller.
 RECEIVED, KEPT_MESSAGES = 1000, 10_000
 
@@ -104,7 +110,8 @@ class Controller(StrictAttributes):
             connected clients are always allowed.
         calibration: DH parameters of the arm. The arm moves according to these parameters, and the controller sends
             them to clients. None selects the published parameters.
-        gripper: Whether a Robotiq gripper is mounted, and its URCap is installed.
+        gripper: Mounted gripper. True is a Robotiq 2F-85, "vacuum" a vacuum gripper of Robotiq, and "rg2" or "rg6" a
+            gripper of OnRobot with its Compute Box. False mounts none, and removes the URCap of Robotiq.
         stepped: Whether time passes only in `step` and within `passing`, even while the ports are served. Use this for
             tests that examine the robot at a certain moment.
         scaling: Parameters of the speed scaling of programs. Some of them are not known for real controllers; set them
@@ -152,7 +159,7 @@ class Controller(StrictAttributes):
         files: Mapping[str, str] | None = None,
         reachable: Iterable[str] = (),
         calibration: DenavitHartenberg | None = None,
-        gripper: bool = True,
+        gripper: bool | Mounted = True,
         stepped: bool = False,
         scaling: ScalingParameters = ScalingParameters(),  # noqa: B008 -- it is frozen
         zeroes_force: bool = is_assumed("force_zeroed_at_start"),
@@ -175,7 +182,8 @@ class Controller(StrictAttributes):
         self.host = host
         self.received: deque[tuple[str, str]] = deque(maxlen=RECEIVED)
         self._output_limit = output_limit
-        self._numbers = _port_numbers(ports, chosen)
+        check_choice(gripper, "gripper", (True, False, *get_args(Mounted)))
+        self._numbers = _port_numbers(ports, chosen, has_box=gripper in ("rg2", "rg6"))
         self._reachable = frozenset(map(_numeric, reachable))
         self._server: Server | None = None
         self._stepped = SteppedClock(chosen.rate) if stepped else None
@@ -205,7 +213,10 @@ class Controller(StrictAttributes):
         self._states = StatePackages(state)
         self.dashboard = DashboardInterface(state, self.pendant)
         self.robot_api = RobotApiInterface(state, self.dashboard, self.pendant)
-        self._gripper = SimulatedGripper(lambda: state.time) if gripper else None
+        self._gripper = SimulatedGripper(lambda: state.time) if gripper is True else None
+        self._kind = gripper
+        self._suction = SimulatedVacuumGripper(lambda: state.time) if gripper == "vacuum" else None
+        self._rg = SimulatedRGGripper(gripper, lambda: state.time) if gripper in ("rg2", "rg6") else None
         device = None if self._gripper is None else ModbusGripper(self._gripper)
         self.tool_serial = ToolSerialInterface(state, device)
         self._realtime = RealtimeInterface(state, self._script_receiver)
@@ -217,8 +228,9 @@ class Controller(StrictAttributes):
             "dashboard": self.dashboard,
             "robot_api": self.robot_api,
             "interpreter": InterpreterInterface(state, self._runner),
-            "gripper": GripperInterface(state, self._gripper),
+            "gripper": GripperInterface(state, self._gripper or self._suction),
             "tool_serial": self.tool_serial,
+            "onrobot": ComputeBoxInterface(self._rg, state.counters),
         }
         if scene is not None:
             self.world.scene = open_scene(scene, self)
@@ -323,11 +335,32 @@ class Controller(StrictAttributes):
         """Mounted gripper. Use it to set the object between the fingers, and to cause faults.
 
         Raises:
-            LocalError: If the controller was made without a gripper.
+            LocalError: If the controller was made without a gripper, or with another kind.
         """
-        if self._gripper is None:
-            raise LocalError("no gripper is mounted: the controller was made with gripper=False")
-        return self._gripper
+        return self._mounted(self._gripper, "2F-85")
+
+    @property
+    def vacuum_gripper(self) -> SimulatedVacuumGripper:
+        """Mounted vacuum gripper. Use it to set the object at the suction cups, and to cause faults.
+
+        Raises:
+            LocalError: If the controller was made without ``gripper="vacuum"``.
+        """
+        return self._mounted(self._suction, "vacuum gripper")
+
+    @property
+    def rg_gripper(self) -> SimulatedRGGripper:
+        """Mounted RG2 or RG6. Use it to set the object between the fingers, and to cause faults.
+
+        Raises:
+            LocalError: If the controller was made without ``gripper="rg2"`` or ``"rg6"``.
+        """
+        return self._mounted(self._rg, "RG2 or RG6")
+
+    def _mounted(self, gripper: G | None, kind: str) -> G:
+        if gripper is None:
+            raise LocalError(f"no {kind} is mounted: the controller was made with gripper={self._kind!r}")
+        return gripper
 
     @property
     def fieldbus(self) -> str | None:
@@ -657,13 +690,14 @@ def _numeric(address: str) -> str:
         ) from None
 
 
-def _port_numbers(ports: str | Mapping[str, int], firmware: Firmware) -> dict[str, int]:
+def _port_numbers(ports: str | Mapping[str, int], firmware: Firmware, *, has_box: bool) -> dict[str, int]:
+    # Ports 80 and 502 need rights that few processes have, so they are opened only if they are used.
+    needless = set() if has_box else {"onrobot"}
     if ports == "standard":
-        # Port 80 needs rights that few processes have, so it is opened only if it is used.
-        needless = "dashboard" if firmware.is_polyscope_x else "robot_api"
-        return {name: number for name, number in PORTS.items() if name != needless}
+        needless.add("dashboard" if firmware.is_polyscope_x else "robot_api")
+        return {name: number for name, number in PORTS.items() if name not in needless}
     if ports == "free":
-        return dict.fromkeys(PORTS, 0)
+        return {name: 0 for name in PORTS if name not in needless}
     if isinstance(ports, str) or not ports or not ports.keys() <= PORTS.keys():
         raise BadValue(f"ports={ports!r}; expected 'free', 'standard' or a mapping from {', '.join(PORTS)}")
     return dict(ports)

@@ -211,6 +211,20 @@ async def _interpreter(cell: Cell) -> AsyncIterator[Any]:
 
 
 @contextlib.asynccontextmanager
+async def _rg(cell: Cell) -> AsyncIterator[Any]:
+    async with urlink.connect_async("sim://ur5e?gripper=rg2") as robot:
+        yield robot.gripper("rg2")
+
+
+@contextlib.asynccontextmanager
+async def _vacuum(cell: Cell) -> AsyncIterator[Any]:
+    async with urlink.connect_async("sim://ur5e?gripper=vacuum") as robot:
+        gripper = robot.gripper("vacuum")
+        await gripper.activate()
+        yield gripper
+
+
+@contextlib.asynccontextmanager
 async def _mobile(cell: Cell) -> AsyncIterator[Any]:
     async with rhdlink.aio.connect(cell.host, VelocityOmega, access="w") as robot:
         yield robot
@@ -230,6 +244,8 @@ OPEN: Mapping[str, Callable[[Cell], AbstractAsyncContextManager[Any]]] = {
     "AsyncScripts": lambda cell: _is(cell.robot.script),
     "AsyncDashboard": lambda cell: _is(cell.robot.dashboard),
     "AsyncGripper": lambda cell: _is(cell.robot.gripper),
+    "AsyncRGGripper": _rg,
+    "AsyncVacuumGripper": _vacuum,
     "AsyncToolSerial": lambda cell: _is(cell.robot.tool_serial),
     "AsyncRtde": lambda cell: _is(cell.robot.rtde),
     "AsyncRegisters": lambda cell: _is(cell.robot.registers),
@@ -340,6 +356,8 @@ SAMPLES: Mapping[str, Sample] = {
     "AsyncDashboard.set_user_role": lambda dashboard: dashboard.set_user_role("none"),
     "AsyncDashboard.upload_program": lambda dashboard, cell: dashboard.upload_program(cell.new_file(".urpx")),
     "AsyncGripper.get": lambda gripper: gripper.get("POS"),
+    "AsyncRGGripper.move": lambda gripper: gripper.move(0.05),
+    "AsyncVacuumGripper.get": lambda gripper: gripper.get("MOD"),
     "AsyncGripper.move": lambda gripper: gripper.move(200, speed=1),
     "AsyncToolSerial.ask": lambda tool: tool.ask(b"hello", 5),
     "AsyncToolSerial.read": lambda tool: tool.read(5),

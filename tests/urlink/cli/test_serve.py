@@ -50,11 +50,18 @@ def test_serve_lists_available_distributions(run: Run, monkeypatch: pytest.Monke
     monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [])
     status, out, err = run("serve")
     assert (status, err) == (0, "")
-    for distribution in ("urlink-zenoh", "urlink-rr", "urlink-ros2", "urlink-mqtt", "urlink-prometheus"):
+    for distribution in (
+        "urlink-zenoh",
+        "urlink-rr",
+        "urlink-ros2",
+        "urlink-mqtt",
+        "urlink-opcua",
+        "urlink-prometheus",
+    ):
         assert f"pip install {distribution}" in out
     for kind, says in (
         ("rr", "pip install urlink-rr"),
-        ("carrier-pigeon", "expected one of mqtt, prometheus, ros2, rr, zenoh"),
+        ("carrier-pigeon", "expected one of mqtt, opcua, prometheus, ros2, rr, zenoh"),
     ):
         status, out, err = run("serve", kind, "sim://")
         assert (status, out) == (1, "")

@@ -16,8 +16,9 @@ import urlink
 from linkcore.errors import BadValue, Closed, ConnectFailed, LinkError, LinkTimeout, LocalError, PacketError, WrongPeer
 from tests.fakes.clock import Clock
 from tests.waiting import threads_named, until
-from urlink.protocol.gripper.client import Gripper, GripperFault, ObjectStatus
+from urlink.protocol.gripper.client import Gripper, ObjectStatus
 from urlink.protocol.gripper.protocol import READABLE, WRITABLE, GripperProtocol, get_line, set_line, value_of
+from urlink.protocol.gripper.robotiq import GripperFault
 from urlink.simulator import Controller
 from urlink.simulator.robot.gripper import SimulatedGripper
 

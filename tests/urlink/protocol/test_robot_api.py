@@ -325,7 +325,7 @@ def test_refused_connection_names_service_setting() -> None:
 def test_standard_ports_depend_on_firmware() -> None:
     for firmware, missing in (("10.12", "dashboard"), ("5.11", "robot_api")):
         with Controller("UR5e", firmware, ports="standard") as controller:
-            assert controller.ports.keys() == PORTS.keys() - {missing}
+            assert controller.ports.keys() == PORTS.keys() - {missing, "onrobot"}
 
 
 # -- scripted replies ------------------------------------------------------------------------------------

@@ -35,7 +35,7 @@ Eventually = Callable[[Callable[[], object]], None]
 
 
 #: Ports that a controller with firmware 5.11 serves.
-SERVED = [name for name in PORTS if name != "robot_api"]
+SERVED = [name for name in PORTS if name not in ("robot_api", "onrobot")]
 
 
 def times(link: Any, count: int) -> list[float]:

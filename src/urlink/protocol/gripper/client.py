@@ -4,55 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Literal, NamedTuple, cast, overload
 
 from linkcore import clock
 from linkcore.arguments import check_seconds, check_wait
-from linkcore.errors import BadValue, LinkTimeout, RemoteError
-from linkcore.names import StrictAttributes
-from linkcore.net.dialogue import Dialogue
-from linkcore.net.transport import TcpTransport
-from linkcore.net.undo import PendingUndos, Undo
+from linkcore.errors import BadValue, Closed
+from linkcore.net.undo import PendingUndos
 from linkcore.wire.fields import OpenInt
 
-from ..ports import service_of
-from .protocol import GripperProtocol, get_line, set_line, value_of
+from ..ports import PORTS
+from .onrobot import RGGripper, RGModel
+from .protocol import set_line
+from .robotiq import FAULTS, GripperFault, RobotiqGripper
+from .vacuum import VacuumGripper
 
-#: Interval for polling a moving gripper, in seconds.
-_POLL = 0.02
 #: Stroke of the fingers of the 2F-85, in m.
 _STROKE = 0.085
-
-#: Codes of `FLT` (from memory of the maker's manual, not verified).
-FAULTS = {
-    5: "the action is delayed; the activation must be completed first",
-    7: "the gripper must be activated first",
-    8: "the gripper is too hot",
-    9: "no communication for a second",
-    10: "the supply voltage is too low",
-    11: "an automatic release is in progress",
-    12: "internal fault",
-    13: "the activation failed; something is in the way of the fingers",
-    14: "overcurrent",
-    15: "an automatic release is completed",
-}
-
-
-class GripperFault(RemoteError):
-    """Error if the gripper did not execute a command: it is not connected, is not activated, or has a fault.
-
-    Attributes:
-        fault: Number of the fault; 0 if the gripper itself reports no fault.
-    """
-
-    __module__ = "urlink"  # users import it from this module, and tracebacks show it
-
-    def __init__(self, text: str, fault: int = 0) -> None:
-        super().__init__(text, fault)
-        self.fault = fault
-
-    def __str__(self) -> str:
-        return str(self.args[0])
 
 
 class ObjectStatus(OpenInt):
@@ -101,7 +68,7 @@ class GripperStatus(NamedTuple):
         return stroke * (1.0 - self.position / 255.0)
 
 
-class Gripper(StrictAttributes):
+class Gripper(RobotiqGripper):
     """Robotiq gripper (2F, Hand-E) whose URCap runs on the controller. It connects when it is first used.
 
     Threads may share it; they take turns. The gripper is not interlocked: it moves fingers rather than the arm, even
@@ -127,6 +94,8 @@ class Gripper(StrictAttributes):
         refused: Function that returns a hint for the error if the connection is refused.
         undos: Pending undos of the commands to this controller. If None, use the undos that all objects in this process
             share for the controller.
+        onrobot_port: Port of a simulated Compute Box at `host`; None if there is none. A call of the gripper uses it if
+            no other host is given.
     """
 
     def __init__(
@@ -137,19 +106,62 @@ class Gripper(StrictAttributes):
         timeout: float = 5.0,
         refused: Callable[[], str] = str,
         undos: PendingUndos | None = None,
+        onrobot_port: int | None = None,
     ) -> None:
-        self._timeout = check_seconds(timeout, "timeout", positive=True, finite=True)
+        super().__init__(host, port, timeout=timeout, refused=refused, undos=undos)
+        self._onrobot = None if onrobot_port is None else (host, onrobot_port)
+        # A vacuum gripper of this robot shares the undos, because it uses the same port.
+        self._make_vacuum = partial(VacuumGripper, host, port, timeout=timeout, refused=refused, undos=self._undos)
+        #: Kind and address -> gripper that a call returned.
+        self._others: dict[tuple[object, ...], RGGripper | VacuumGripper] = {}
 
-        def dialogue() -> Dialogue:
-            transport = TcpTransport(host, port, silence=timeout, refused=refused)
-            return Dialogue(transport, GripperProtocol, f"the gripper at {transport.name}", timeout)
+    # -- other kinds -----------------------------------------------------------------------------------
 
-        self._connect = dialogue
-        self._dialogue = dialogue()
-        self._name = f"{host}:{port}"
-        self._shares_undos = undos is None
-        name = f"the gripper at {self._name}"
-        self._undos = PendingUndos.of(service_of(host, port), name, self) if undos is None else undos
+    @overload
+    def __call__(self, kind: Literal["vacuum"]) -> VacuumGripper: ...
+    @overload
+    def __call__(
+        self, kind: RGModel, *, host: str | None = None, port: int = PORTS["onrobot"], unit: int = 65
+    ) -> RGGripper: ...
+    def __call__(
+        self, kind: str, *, host: str | None = None, port: int = PORTS["onrobot"], unit: int = 65
+    ) -> RGGripper | VacuumGripper:
+        """Return a gripper of another kind. Calls with the same arguments return the same object.
+
+        The gripper is closed together with this one. Nothing is sent before it is used.
+
+        Args:
+            kind: "vacuum" for a vacuum gripper of Robotiq, behind the same URCap; "rg2" or "rg6" for one of OnRobot.
+            host: Host name or address of OnRobot's Compute Box. Only a simulated controller needs none.
+            port: Port of the Compute Box.
+            unit: Number of the gripper behind the Compute Box.
+
+        Raises:
+            BadValue: If the kind does not exist, or the host of an OnRobot gripper is missing.
+            Closed: If the robot was closed.
+        """
+        key: tuple[object, ...] = (kind,)
+        make: Callable[[], RGGripper | VacuumGripper]
+        if kind == "vacuum":
+            if host is not None:
+                raise BadValue(f"host={host!r}; a vacuum gripper is behind the URCap of the controller, so omit host")
+            make = self._make_vacuum
+        elif kind in ("rg2", "rg6"):
+            if host is None:
+                if self._onrobot is None:
+                    raise BadValue(
+                        f"missing host; an {kind.upper()} is reached at the address of its Compute Box, "
+                        f"as in robot.gripper({kind!r}, host='192.168.1.1')"
+                    )
+                host, port = self._onrobot
+            key = kind, host, port, unit
+            make = partial(RGGripper, host, port, model=cast("RGModel", kind), unit=unit, timeout=self._timeout)
+        else:
+            raise BadValue(f"kind={kind!r}; expected 'vacuum', 'rg2' or 'rg6', or robot.gripper itself for fingers")
+        if self._dialogue.is_closed:
+            raise Closed("the gripper was closed")
+        known = self._others.get(key)
+        return self._others.setdefault(key, make()) if known is None else known
 
     # -- activation ------------------------------------------------------------------------------------
 
@@ -165,14 +177,7 @@ class Gripper(StrictAttributes):
         Raises:
             LinkTimeout: If the gripper is not active in time.
         """
-        until = clock.now() + check_seconds(timeout, "timeout", positive=True, finite=True)
-        status = self.status()
-        if status.is_active and not status.fault and not again:
-            return status
-        self.set(ACT=0, ATR=0)
-        self._await(lambda: (self.get("ACT"), self.get("STA")) == (0, 0), until, timeout, "it was not reset")
-        self.set(ACT=1)
-        self._await(lambda: self.get("STA") == 3, until, timeout, "it was not activated")
+        self._activate(again, timeout)
         return self._checked(self.status())
 
     def deactivate(self) -> None:
@@ -273,21 +278,11 @@ class Gripper(StrictAttributes):
 
     def get(self, name: str) -> int:
         """Return a variable of the gripper by its name, such as "COU" (motor current), if no method reads it."""
-        value = value_of(name, self._dialogue.ask(get_line(name), self._timeout))
-        if value is None:
-            raise GripperFault(f"the URCap at {self._name} is running, but no gripper is connected to the controller")
-        return value
+        return self._get(name)
 
     def set(self, /, **values: int) -> None:
         """Set variables of the gripper at once, such as ``set(ATR=1, ADR=0)``, if no method sets them."""
         self._set(set_line(values), moves="POS" in values or values.get("GTO") == 1)
-
-    def _set(self, line: str, moves: bool) -> None:
-        undo = Undo(self._connect, partial(_stop_fingers, self._timeout)) if moves else None
-        with self._undos.command("gripper", self._timeout, undo) as given_up:
-            reply = self._dialogue.ask(line, self._timeout, given_up=given_up)
-        if reply.casefold() != "ack":
-            raise GripperFault(f"the gripper did not execute {line!r}, and answered {reply[:80]!r}")
 
     def _checked(self, status: GripperStatus) -> GripperStatus:
         if status.fault:
@@ -295,25 +290,8 @@ class Gripper(StrictAttributes):
             raise GripperFault(f"the gripper has fault {status.fault}: {what}", status.fault)
         return status
 
-    def _await(self, condition: Callable[[], bool], until: float, timeout: float, otherwise: str) -> None:
-        while not condition():
-            left = until - clock.now()
-            if left <= 0:
-                raise LinkTimeout(f"the gripper at {self._name}: {otherwise} within {timeout:g} s")
-            clock.sleep(min(_POLL, left))
-
     def _disconnect(self) -> None:
         """Disconnect permanently."""
-        if self._shares_undos:
-            self._undos.close(self)
-        self._dialogue.close()
-
-    def __repr__(self) -> str:
-        return f"<Gripper {self._name}>"
-
-
-def _stop_fingers(timeout: float, dialogue: Dialogue, is_wanted: Callable[[], bool]) -> None:
-    """Undo a motion of the fingers."""
-    for line in (get_line("STA"), set_line({"GTO": 0})):  # the first line only makes contact
-        if is_wanted():
-            dialogue.ask(line, timeout)
+        for other in [*self._others.values()]:
+            other._disconnect()
+        super()._disconnect()

@@ -35,8 +35,12 @@ _ACK = b"ack"
 _VALUE = re.compile(r"([A-Z]{3}) (-?[0-9]{1,6})")
 
 
-def set_line(values: Mapping[str, int]) -> str:
+def set_line(values: Mapping[str, int], writable: Mapping[str, int] = WRITABLE) -> str:
     """Return the line that sets these variables.
+
+    Args:
+        values: Name -> value.
+        writable: Names that can be set, and their maximum values.
 
     Raises:
         BadValue: If a name is unknown, a value is out of range, or no value is given.
@@ -47,10 +51,10 @@ def set_line(values: Mapping[str, int]) -> str:
     if not values:
         raise BadValue("no variable to set on the gripper; pass at least one NAME=VALUE")
     for name, value in values.items():
-        if name not in WRITABLE:
-            raise BadValue(f"{name!r} cannot be set on a gripper; expected one of {', '.join(WRITABLE)}")
-        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= WRITABLE[name]:
-            raise BadValue(f"{name} is {value!r}; expected a whole number from 0 to {WRITABLE[name]}")
+        if name not in writable:
+            raise BadValue(f"{name!r} cannot be set on a gripper; expected one of {', '.join(writable)}")
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= writable[name]:
+            raise BadValue(f"{name} is {value!r}; expected a whole number from 0 to {writable[name]}")
     return "SET " + " ".join(f"{name} {value}" for name, value in values.items())
 
 

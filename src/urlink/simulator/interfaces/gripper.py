@@ -7,6 +7,7 @@ The replies have the form that public clients and the programs of the URCap expe
 from __future__ import annotations
 
 from ..robot.gripper import SimulatedGripper
+from ..robot.suction import SimulatedVacuumGripper
 from ..state import ControllerState
 from .interface import Interface, InterfaceClient, LineReceiver
 
@@ -16,10 +17,10 @@ class GripperInterface(Interface):
 
     Args:
         state: State of the controller.
-        gripper: Mounted gripper; None if this URCap is not installed.
+        gripper: Mounted gripper, with fingers or suction cups; None if this URCap is not installed.
     """
 
-    def __init__(self, state: ControllerState, gripper: SimulatedGripper | None) -> None:
+    def __init__(self, state: ControllerState, gripper: SimulatedGripper | SimulatedVacuumGripper | None) -> None:
         self._state = state
         self._gripper = gripper
 
