@@ -133,6 +133,7 @@ EVERY_CYCLE = {
     "urlink.simulator.faults.schedule",
     "urlink.simulator.registers",
     "urlink.simulator.robot.modes",
+    "urlink.simulator.robot.noise",
     "urlink.simulator.robot.sensors",
     "urlink.simulator.robot.surroundings",
 }

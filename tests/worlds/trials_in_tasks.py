@@ -335,6 +335,11 @@ async def blocks(bench: Bench) -> None:
     how = chance.choice(("end", "raise", "cancel"))
     kept: list[Any] = []
 
+    if kind == "force":
+        # The offset of the force sensor would push the arm away.
+        await robot.zero_force_sensor()
+        await asyncio.sleep(0.1)
+
     async def use() -> None:
         async with makes[kind]() as block:
             kept.append(block)

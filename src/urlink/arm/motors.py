@@ -25,7 +25,7 @@ from .models import Model, model
 from .parameters import number, numbers, parameters
 from .vectors import FloatArray
 
-__all__ = ["FULL_SPEED", "Motors", "force_size", "friction", "joint_sizes", "motors_of"]
+__all__ = ["FULL_SPEED", "Motors", "force_size", "friction", "joint_numbers", "joint_sizes", "motors_of"]
 
 #: Speed in rad/s up to which Coulomb friction grows with the speed.
 FULL_SPEED = number("friction_full_speed")
@@ -84,12 +84,22 @@ def joint_sizes(name: str) -> list[str]:
 
 
 def force_size(name: str) -> str:
-    """Return the size of the base joint, for a search of the noise of the force in the table of parameters.
+    """Return the row of the noise of the force in the table of parameters: the arm if it has one, or a joint size.
 
-    Larger joints, for which the table has no noise, count as "size 4".
+    The joint size is that of the base. Larger joints, for which the table has no noise, count as "size 4".
     """
+    if ("force_noise", name) in parameters():
+        return name
     size = joint_sizes(name)[0]
     return size if ("force_noise", size) in parameters() else "size 4"
+
+
+def joint_numbers(parameter: str, name: str) -> tuple[float, ...]:
+    """Return six values of a parameter: those of this arm if it was logged, or else those of its joint sizes."""
+    known = parameters()
+    if (parameter, name) in known:
+        return numbers(parameter, name)
+    return tuple(number(parameter, size if (parameter, size) in known else "other") for size in joint_sizes(name))
 
 
 def motors_of(arm: Model | str) -> Motors:
@@ -99,12 +109,9 @@ def motors_of(arm: Model | str) -> Motors:
         UnknownModel: If no arm has this name.
     """
     name = (arm if isinstance(arm, Model) else model(arm)).name
-    sizes = joint_sizes(name)
-
-    def of(parameter: str) -> tuple[float, ...]:
-        # Prefer the values of this arm, if they were logged.
-        if (parameter, name) in parameters():
-            return numbers(parameter, name)
-        return tuple(number(parameter, size) for size in sizes)
-
-    return Motors(of("rotor_inertia"), of("torque_constant"), of("coulomb_current"), of("viscous_current"))
+    return Motors(
+        joint_numbers("rotor_inertia", name),
+        joint_numbers("torque_constant", name),
+        joint_numbers("coulomb_current", name),
+        joint_numbers("viscous_current", name),
+    )

@@ -20,6 +20,7 @@ from urlink.arm.arm_file import ArmFile
 from urlink.arm.kinematics import Arm as Kinematics
 from urlink.arm.kinematics import DenavitHartenberg
 from urlink.arm.models import Model
+from urlink.arm.parameters import is_assumed
 from urlink.protocol.firmware import NEWEST, RELEASES, Firmware
 from urlink.protocol.ports import PORTS, interface_of
 from urlink.session.address import Mounted, RobotAddress
@@ -96,8 +97,8 @@ class Controller(StrictAttributes):
             this firmware; port 80, for the Robot API of PolyScope X, might need special rights. A mapping assigns port
             numbers to names in `PORTS`; 0 selects a free port. Ports that the mapping does not contain are not served.
         seed: Seed of the sensor noise and of random garbage.
-        noise: Whether the sensors are noisy. Without noise, the actual joint positions of an arm at rest equal its
-            targets.
+        noise: Whether the sensors have noise, offsets and drift, like those of real arms. Without them, the actual
+            joint positions of an arm at rest equal its targets, and the force of an empty tool is 0.
         serial: Serial number of the arm.
         motion: Source of set-points until a program commands the arm. `Demonstration` moves the arm slowly; `Still`
             holds it in a given posture. None holds it in `HOME`.
@@ -115,6 +116,8 @@ class Controller(StrictAttributes):
             tests that examine the robot at a certain moment.
         scaling: Parameters of the speed scaling of programs. Some of them are not known for real controllers; set them
             to test other values.
+        zeroes_force: Whether the start of a program zeroes the force sensor, default False. An engineer of the vendor
+            states that it does (not verified: the log of a UR3e contradicts it).
         like: Arm file with identified properties of a real arm, which the simulated arm takes over. They are model,
             calibration, TCP and payload, motors, lag, noise, and the ramp of programs. Properties that were not
             identified keep their defaults.
@@ -159,6 +162,7 @@ class Controller(StrictAttributes):
         gripper: bool | Mounted = True,
         stepped: bool = False,
         scaling: ScalingParameters = ScalingParameters(),  # noqa: B008 -- it is frozen
+        zeroes_force: bool = is_assumed("force_zeroed_at_start"),
         like: ArmFile | None = None,
         scene: str | os.PathLike[str] | None = None,
     ) -> None:
@@ -188,7 +192,15 @@ class Controller(StrictAttributes):
         self._messages: deque[bytes] = deque()
         source = motion or Still()
         self._state = state = ControllerState(
-            kinematics, chosen, source, serial=serial, seed=seed, noise=noise, scaling_parameters=scaling, like=like
+            kinematics,
+            chosen,
+            source,
+            serial=serial,
+            seed=seed,
+            noise=noise,
+            scaling_parameters=scaling,
+            zeroes_force=zeroes_force,
+            like=like,
         )
         self._runner = ProgramRunner(state, self._route)
         self._loader = ProgramLoader(state, self._runner)

@@ -81,14 +81,16 @@ def _tool_analog_types(state: ControllerState) -> int:
 def robot_current(state: ControllerState) -> float:
     """Return the robot current, in A: the sum of the parts for the electronics, the joint power and the motor heat.
 
-    The formula was identified for a UR3e. It is assumed that it applies to other arms too.
+    The joint power is that of the motor currents, so it includes friction. The formula was identified for a UR3e. It is
+    assumed that it applies to other arms too.
     """
     if not state.modes.is_powered:
         return 0.0
     s = state.arm.sample
     # Do not use `sum`, which rounds differently since Python 3.12. The same run must send the same bytes with every
     # version of Python.
-    power: float = reduce(add, map(mul, s.M_target, s.qd_target))
+    torques = map(mul, s.I_actual, state.arm.motors.torque_constants)
+    power: float = reduce(add, map(mul, torques, s.qd_actual))
     heat: float = reduce(add, map(mul, s.I_actual, s.I_actual))
     return max(_IDLE + _OF_POWER * power + _OF_HEAT * heat, 0.0)
 

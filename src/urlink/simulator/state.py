@@ -124,6 +124,7 @@ class ControllerState:
         seed: Seed of the sensor noise.
         noise: Whether the sensors are noisy.
         scaling_parameters: Parameters of the speed scaling.
+        zeroes_force: Whether the start of a program zeroes the force sensor.
         like: Identified properties of an arm. None selects the known properties of the model.
 
     Attributes:
@@ -153,7 +154,7 @@ class ControllerState:
         slider: Fraction of the speed slider that takes effect; it approaches `speed_fraction` gradually.
         scaling: Speed at which the commands of programs are executed, as a fraction of the commanded speed. It
             approaches `slider`, and is 0 at the start of a program.
-        scaling_parameters: See the argument `scaling_parameters`.
+        scaling_parameters, zeroes_force: See the arguments of the same names.
         remote_control: Whether an e-Series is in remote control.
         has_local_control: Whether an e-Series in local control rejects commands that do not come from the pendant.
         control_mode: Quantity that the running program controls; position if there is no program.
@@ -177,10 +178,12 @@ class ControllerState:
         seed: int,
         noise: bool,
         scaling_parameters: ScalingParameters,
+        zeroes_force: bool = False,
         like: ArmFile | None = None,
     ) -> None:
         self.kinematics = kinematics
         self.scaling_parameters = scaling_parameters
+        self.zeroes_force = zeroes_force
         self.serial = serial
         self._noise_seed = seed if noise else None
         self.cycle = 0
@@ -196,8 +199,8 @@ class ControllerState:
         self.surroundings = Surroundings()
         self._like = like
         self._first_source = source
-        self.arm = self._make_arm()
         self._next_firmware = firmware
+        self.arm = self._make_arm()
         self._begin()
 
     def _begin(self) -> None:
@@ -225,7 +228,8 @@ class ControllerState:
 
     def _make_arm(self) -> SimulatedArm:
         setpoint = self._first_source.advance(0.0)
-        return SimulatedArm(self.kinematics, setpoint, self._noise_seed, self.surroundings, self._like)
+        is_cb2 = self._next_firmware.is_cb2
+        return SimulatedArm(self.kinematics, setpoint, self._noise_seed, self.surroundings, self._like, is_cb2)
 
     def go_down(self, firmware: Firmware | None, seconds: float) -> None:
         """Reboot: shut down for a time, then start with this firmware, or with the current one if it is None.

@@ -23,7 +23,7 @@ class Admittance(SoftTool):
     def __init__(
         self, firmware: str = "5.11", *, in_tool: bool = False, stiffness: tuple[float, ...] = STIFFNESS
     ) -> None:
-        self.controller = Controller("UR5e", firmware, motion=Still(READY))
+        self.controller = Controller("UR5e", firmware, motion=Still(READY), noise=False)
         self.controller.step()
         self.firmware, self.arm = self.controller.firmware, self.controller.arm
         self.start = self.pose
@@ -120,6 +120,7 @@ def test_program_ends_without_messages() -> None:
 @pytest.mark.parametrize(("firmware", "frame"), [("5.25", "base"), ("5.25", "tool"), ("5.11", "base")])
 def test_impedance_works_with_and_without_direct_torque(firmware: str, frame: Literal["base", "tool"]) -> None:
     with Controller("UR5e", firmware, motion=Still(READY)) as controller, urlink.connect(controller.address) as robot:
+        robot.zero_force_sensor()
         pose = robot.realtime.wait().tool_vector_actual.tolist()
         goal = place(pose, 0.02, 0.0, 0.03, 0.0, 0.0, 0.2)
         with robot.motion.impedance(frame, stiffness=[800, 800, 800, 40, 40, 40]) as soft:

@@ -25,7 +25,7 @@ class Bench:
     """A controller with one program; `write_messages` writes a message in each cycle."""
 
     def __init__(self, firmware: str) -> None:
-        self.controller = Controller(None, firmware, motion=Still())
+        self.controller = Controller(None, firmware, motion=Still(), noise=False)
         self.controller.step()
         self.firmware = self.controller.firmware
         self.start = self.pose

@@ -37,7 +37,7 @@ class Soft(Bench):
     """
 
     def __init__(self, name: str = "UR5e", firmware: str = "5.25", q: Sequence[float] = READY, **options: Any) -> None:
-        self.controller = Controller(name, firmware, motion=Still(q))
+        self.controller = Controller(name, firmware, motion=Still(q), noise=False)
         self.controller.step()
         self.firmware = self.controller.firmware
         self.arm = self.controller.arm

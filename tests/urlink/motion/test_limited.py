@@ -217,6 +217,7 @@ def test_force_mode_ends_before_the_box_ends() -> None:
     with limited("sim://ur5e?firmware=5.11", allowed=KINDS) as robot:
         with pytest.raises(LimitExceeded, match="tool would move"):
             robot.motion.force_mode("base", [1, 1, 0, 0, 0, 0], [0.0] * 6, [0.2] * 6)
+        robot.zero_force_sensor()
         with (
             robot.motion.force_mode("base", [0, 0, 1, 0, 0, 0], [0, 0, 30, 0, 0, 0], [0.1] * 6) as pressing,
             pytest.raises(LimitExceeded, match="box"),

@@ -47,7 +47,8 @@ def test_late_messages_are_obeyed_within_watchdog_time(firmware: Firmware, late:
 
     bench.run(firmware.rate, feed)
     assert not bench.execution.is_over
-    assert bench.q_actual[5] == pytest.approx(turned(SPEED)[5], abs=0.05)
+    # The look-ahead time of CB3 makes the arm lag by about a tenth of a second.
+    assert bench.q_actual[5] == pytest.approx(turned(SPEED)[5], abs=0.06)
 
 
 @pytest.mark.parametrize("firmware", [*map(Firmware.parse, FIRMWARES)], ids=str)

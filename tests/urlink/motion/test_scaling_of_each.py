@@ -125,6 +125,7 @@ def jogged(cell: Cell) -> Iterator[None]:
 
 @contextlib.contextmanager
 def pressed(cell: Cell) -> Iterator[None]:
+    cell.robot.zero_force_sensor()
     with cell.robot.motion.force_mode("base", [0, 0, 1, 0, 0, 0], [0, 0, 10, 0, 0, 0], [0.05] * 6):
         yield
 

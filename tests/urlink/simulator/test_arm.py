@@ -18,7 +18,7 @@ from urlink.arm.parameters import number
 from urlink.protocol.realtime.packets import RealtimeState
 from urlink.simulator import Controller
 from urlink.simulator.robot.characteristics import SensorParameters
-from urlink.simulator.robot.sensors import Sample, Sensors
+from urlink.simulator.robot.sensors import Progress, Sample, Sensors
 from urlink.simulator.robot.setpoint_sources import HOME, Demonstration, Setpoint, Still
 from urlink.simulator.rtde_variables import robot_current
 
@@ -74,7 +74,7 @@ def test_speeds_are_the_derivatives_of_positions(name: str, firmware: str) -> No
     q, qd = column(states, "q_actual"), column(states, "qd_actual")
     mean = np.array([qd[i : i + tenth].mean(axis=0) for i in range(len(qd) - tenth)])
     moved = (q[tenth:] - q[:-tenth]) / (tenth * dt)
-    assert np.abs(moved - mean).max() < 8e-3
+    assert np.abs(moved - mean).max() < 0.02
     if not controller.firmware.is_cb2:
         tool = central("tool_vector_target")[:, :3]
         assert np.abs(tool - column(states, "tcp_speed_target")[1:-1, :3]).max() < 1e-4
@@ -247,20 +247,22 @@ def test_momentum_is_that_of_the_moving_mass() -> None:
     assert moving.linear_momentum_norm is not None
     assert 0.2 * most < moving.linear_momentum_norm < most
     controller.faults.protective_stop()
-    assert run(controller, 500)[-1].linear_momentum_norm == 0.0
+    # The joints still creep for about a second.
+    assert run(controller, 1500)[-1].linear_momentum_norm == 0.0
 
 
 @pytest.mark.slow
-def test_temperatures_rise_slowly() -> None:
+def test_temperatures_are_those_of_an_arm_that_was_on_and_rise_slowly() -> None:
     controller = Controller("UR5", "3.14", motion=Demonstration())
     cold = run(controller, 1)[0].motor_temperatures
     controller.step(60 * 125)
     warmer = run(controller, 1)[0].motor_temperatures
     controller.step(600 * 125)
     warm = run(controller, 1)[0].motor_temperatures
-    assert (cold == 24.0).all()
+    assert (cold > 33.0).all()
     assert (cold <= warmer).all()
-    assert (warmer < warm).all()
+    assert (warmer <= warm).all()
+    assert (cold < warm).any()
     assert warm.max() < 45.0
 
 
@@ -330,7 +332,8 @@ def test_sensors_recompute_cached_values_after_changes() -> None:
     """The values cached in the previous cycle must be reused only while their inputs are unchanged."""
     kinematics = Arm("UR5e")
     parts = kinematics, motors_of("UR5e"), SensorParameters(), HOME
-    sensors = Sensors(*parts, seed=3)
+    sensors = Sensors(*parts, seed=3, is_cb2=False)
+    progress = Progress(0.002, 7, 0, 2, [2] * 6, 0, None)
     bare, loaded = Dynamics(kinematics), Dynamics(kinematics, payload=1.5, payload_cog=(0.0, 0.0, 0.05))
     at, elsewhere = Setpoint(list(HOME), [0.0] * 6, [0.0] * 6), Setpoint([q + 0.1 for q in HOME], [0.0] * 6, [0.0] * 6)
     flange, tool, pushed = [0.0] * 6, [0.0, 0.01, 0.2, 0.3, 0.0, 0.1], (1.0, 2.0, 3.0, 0, 0, 0)
@@ -346,8 +349,8 @@ def test_sensors_recompute_cached_values_after_changes() -> None:
         (at, flange, bare, [0.0] * 6),
     ):
         used, new = (
-            each.sample(setpoint, tcp, dynamics, external, external, 7, 2, 1.0, True)
-            for each in (sensors, Sensors(*parts, seed=3))
+            each.sample(setpoint, tcp, dynamics, external, external, [0.0] * 6, progress, 1.0, True)
+            for each in (sensors, Sensors(*parts, seed=3, is_cb2=False))
         )
         for name in Sample.__slots__:
             assert getattr(used, name) == getattr(new, name), name

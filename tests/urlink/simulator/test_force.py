@@ -16,7 +16,7 @@ from linkcore.errors import BadValue
 from urlink.arm.dynamics import Dynamics
 from urlink.arm.poses import rotvec_to_matrix
 from urlink.protocol.enums import ControlMode, SafetyMode
-from urlink.simulator import Controller, Plane, Spring, Still
+from urlink.simulator import Controller, Demonstration, Plane, Spring, Still
 
 DOWN = "p[0,0,0,0,0,0], [0,0,1,0,0,0], [0,0,{force},0,0,0]"
 
@@ -25,7 +25,7 @@ class Bench:
     """Controller whose arm is at rest in its home posture, with the tool pointing down."""
 
     def __init__(self, firmware: str = "3.15") -> None:
-        self.controller = Controller(None, firmware, motion=Still())
+        self.controller = Controller(None, firmware, motion=Still(), noise=False)
         self.controller.step()
         self.world = self.controller.world
         self.start: list[float] = self.pose
@@ -341,6 +341,20 @@ def test_arm_follows_a_push_in_freedrive(firmware: str, mode: str) -> None:
     assert not bench.is_stopped()
 
 
+def test_freedrive_yields_to_the_wrench_that_replaces_the_sensor() -> None:
+    """An offset of the sensor does not move the arm, but a wrench that a client has set does."""
+    controller = Controller("UR3e", "5.11", motion=Still())
+    controller.step()
+    controller.take("def p():\n  freedrive_mode()\n  sleep(60)\nend")
+    controller.step(250)
+    before = list(controller.arm.setpoint.q)
+    controller.step(250)
+    assert controller.arm.setpoint.q == before
+    controller.arm.uses_external_force, controller.arm.external_force = True, [0.0, 20.0, 0.0, 0.0, 0.0, 0.0]
+    controller.step(250)
+    assert np.abs(np.subtract(controller.arm.setpoint.q, before)).max() > 0.02
+
+
 def test_freedrive_moves_only_along_the_chosen_axes() -> None:
     bench = Bench("5.10")
     bench.run("freedrive_mode(freeAxes=[1,0,0,0,0,0], feature=p[0,0,0,0,0,0])\nsleep(60)", 0.1)
@@ -443,3 +457,25 @@ def test_offset_of_a_zeroed_sensor_turns_with_the_tool() -> None:
     turned = rotvec_to_matrix(bench.pose[3:]) @ rotvec_to_matrix(bench.start[3:]).T
     weight = np.array((0.0, 0.0, -9.82))
     assert bench.force[:3] == pytest.approx((weight - turned @ weight).tolist(), abs=1e-9)
+
+
+@pytest.mark.parametrize("zeroes", [False, True])
+def test_offset_of_the_sensor_is_zeroed_at_program_start_when_asked(zeroes: bool) -> None:
+    controller = Controller("UR3e", "5.11", motion=Still(), zeroes_force=zeroes)
+    controller.step(10)
+    assert 74.0 < np.linalg.norm(controller.arm.sample.force[:3]) < 80.0
+    controller.take("def f():\n  sleep(1)\nend\n")
+    controller.step(10)
+    assert bool(np.linalg.norm(controller.arm.sample.force[:3]) < 1.0) is zeroes
+    controller.arm.zero_force()
+    assert np.linalg.norm(controller.arm.sample.force[:3]) < 1.0
+    assert np.linalg.norm(controller.arm.raw_wrench[:3]) > 74.0
+
+
+def test_sensor_errors_do_not_depend_on_when_they_are_read() -> None:
+    read, unread = (Controller("UR5e", "5.11", motion=Demonstration(), seed=4) for _ in range(2))
+    for _ in range(300):
+        read.step(7)
+        assert read.arm.sample.force
+    unread.step(2100)
+    assert all(getattr(read.arm.sample, name) == getattr(unread.arm.sample, name) for name in read.arm.sample.__slots__)

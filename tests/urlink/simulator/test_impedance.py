@@ -135,7 +135,7 @@ end
 @pytest.mark.slow
 @pytest.mark.parametrize("firmware", ["5.11", "5.25"])
 def test_admittance_yields_to_the_force_at_the_tool(firmware: str) -> None:
-    controller = Controller("UR5e", firmware, motion=Still(), seed=1)
+    controller = Controller("UR5e", firmware, motion=Still(), noise=False)
     controller.step(10)
     begin = np.array(controller.arm.sample.pose_target[:3])
     controller.take(ADMITTANCE)

@@ -32,7 +32,9 @@ def test_identify_recovers_planted_arm(samples: Samples) -> None:
     found, expected = identify(samples), planted()
     for name, each in expected.estimates.items():
         for estimate, truth in zip(found.estimates[name], each, strict=True):
-            near = 2e-3 if name == "payload_cog" else 0.05 * abs(truth.value)
+            # The slow part of the current's error has few independent values in a recording.
+            share = 0.25 if name == "current_noise" else 0.05
+            near = 2e-3 if name == "payload_cog" else share * abs(truth.value)
             assert estimate.value == pytest.approx(truth.value, abs=near), (name, estimate)
     assert found.tcp == pytest.approx(expected.tcp, abs=0.02)  # a part of the flange may count as part of the tool
     assert found.estimates["calibration"][0].value < 1e-7

@@ -133,6 +133,8 @@ class ProgramRunner:
         self.main = state.source = RunningProgram(state, script, self._route, self._ended)
         # The new program continues from the current speed of the arm, even if the arm is braking.
         self._begins_anew = False
+        if state.zeroes_force:
+            state.arm.zero_force()
         state.outbox.put(messages.program_started(state, script.name))
         state.update_modes(0.0)
 

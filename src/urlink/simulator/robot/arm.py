@@ -18,7 +18,7 @@ from urlink.arm.parameters import number
 from urlink.arm.vectors import JOINTS
 
 from .characteristics import SensorParameters
-from .sensors import Sample, Sensors
+from .sensors import Progress, Sample, Sensors
 from .setpoint_sources import BRAKING, Setpoint
 from .surroundings import ForceSensor, Overload, Surroundings
 
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from urlink.arm.arm_file import ArmFile
 
 _ZERO = [0.0] * 6
+# Joints that move, if all of them do.
+_ALL = (True,) * 6
 #: Deviation of a joint in rad that causes a protective stop, and the code of this stop in the vendor's list.
 _DEVIATION_LIMIT, _DEVIATES = number("position_deviation_limit"), 153
 #: Time constant in s with which a joint that is no longer dragged returns to its target; deviation that counts as zero.
@@ -42,6 +44,7 @@ class SimulatedArm:
         surroundings: Surroundings that act on the tool.
         like: Arm file with identified properties: motors, sensors, TCP and payload. None selects the known properties
             of the model.
+        is_cb2: Whether the arm has a CB2 controller.
 
     Attributes:
         kinematics: Kinematics of the arm.
@@ -64,6 +67,7 @@ class SimulatedArm:
         seed: int | None,
         surroundings: Surroundings,
         like: ArmFile | None,
+        is_cb2: bool = False,
     ) -> None:
         self.kinematics = kinematics
         self.model = kinematics.model
@@ -84,14 +88,18 @@ class SimulatedArm:
         self._carried: tuple[tuple[float, ...], ...] | None = None
         self._setpoint = setpoint
         parameters = SensorParameters.of(self.model) if like is None else SensorParameters.of(self.model).like(like)
-        self._sensors = Sensors(kinematics, self.motors, parameters, setpoint.q, seed)
+        self._sensors = Sensors(kinematics, self.motors, parameters, setpoint.q, seed, is_cb2)
         self._surroundings = surroundings
         self.force_sensor = ForceSensor(kinematics, surroundings)
         self.drags: dict[int, float] = {}
         self._is_following = True
         # State of the arm when braking began, total duration of the braking, and elapsed time, both in s.
         self._brake: tuple[Setpoint, float, float] | None = None
-        self._cycle = self._rests = 0
+        self._progress = Progress(0.002, 0, 0, 0, [0] * 6, 0, None)
+        # Joints that moved in the last cycle; empty if none did.
+        self._moving: tuple[bool, ...] = ()
+        # Error of the force sensor when it was zeroed, in the frame of the flange.
+        self._zeroed_error: Sequence[float] = _ZERO
         self._time = 0.0
         self._sample: Sample | None = None
         if like is not None:
@@ -116,11 +124,12 @@ class SimulatedArm:
 
     def advance(self, seconds: float, setpoint: Setpoint | None) -> None:
         """Advance by one cycle to this set-point. With None, the arm brakes and then stays at rest."""
-        self._cycle += 1
+        progress = self._progress
+        progress.cycle += 1
+        progress.period = seconds
         self._time += seconds
         if self._transition is not None:
             self._go_over(*self._transition, seconds)
-        was_moving = any(self._setpoint.qd)
         if setpoint is not None:
             self._setpoint, self._brake = setpoint, None
         else:
@@ -131,9 +140,26 @@ class SimulatedArm:
         self._is_following = setpoint is not None
         if self.drags or any(self.deviation):
             self._deviate(seconds)
-        self._rests += was_moving and not any(self._setpoint.qd)
+        qd = self._setpoint.qd
+        if any(qd):
+            progress.moved += 1
+            moving = tuple(map(bool, qd)) if 0.0 in qd else _ALL
+            if moving != self._moving:
+                self._count_rests(moving)
+        elif self._moving:
+            progress.rest += 1
+            progress.stopped = progress.cycle
+            self._count_rests(())
         self._sample = None
         self.force_sensor.advance(self._setpoint, self._tcp, self.payload, self.payload_cog, seconds)
+
+    def _count_rests(self, moving: tuple[bool, ...]) -> None:
+        """Begin a rest of the joints that no longer move; `moving` is empty if no joint moves."""
+        for joint, was_moving in enumerate(self._moving):
+            if was_moving and not (moving and moving[joint]):
+                self._progress.joint_rests[joint] += 1
+        self._progress.joint_changes += 1
+        self._moving = moving
 
     @property
     def deviation(self) -> Sequence[float]:
@@ -250,9 +276,23 @@ class SimulatedArm:
     def wrench(self) -> Sequence[float]:
         """Wrench at the TCP that the controller uses, shape (6,), in N and Nm.
 
-        It equals the force of `sample`, but without noise and without the offset of the sensor.
+        It equals the force of `sample`, but without noise.
+        """
+        return self.external_force if self.uses_external_force else self._measured
+
+    @property
+    def pushing_wrench(self) -> Sequence[float]:
+        """Wrench at the TCP to which the arm yields in freedrive, shape (6,), in N and Nm.
+
+        It equals `wrench`, but without the errors of the force sensor. In freedrive, a real arm yields to the torques
+        on its joints, so an offset of the sensor does not move it.
         """
         return self.external_force if self.uses_external_force else self.force_sensor.wrench
+
+    @property
+    def _measured(self) -> Sequence[float]:
+        """Wrench that the force sensor measures, apart from its noise, in N and Nm in the base frame."""
+        return self._sensors.measured(self._setpoint.q, self.force_sensor.wrench, self._zeroed_error, self._progress)
 
     @property
     def pushed_joints(self) -> Sequence[float]:
@@ -275,12 +315,13 @@ class SimulatedArm:
     @property
     def raw_wrench(self) -> list[float]:
         """Wrench at the TCP as measured before `zero_force` subtracts its offset, in N and Nm in the base frame."""
-        shown, measured, external = self.sample.force, self.force_sensor.wrench, self.force_sensor.external
-        return [f - m + e for f, m, e in zip(shown, measured, external, strict=True)]
+        raw = self._sensors.measured(self._setpoint.q, self.force_sensor.external, _ZERO, self._progress)
+        return [f - m + e for f, m, e in zip(self.sample.force, self._measured, raw, strict=True)]
 
     def zero_force(self) -> None:
         """Make the current force at the TCP the new zero."""
         self.force_sensor.zero()
+        self._zeroed_error = self._sensors.force_error(self._progress)
         self._sample = None
 
     # -- what it shows -------------------------------------------------------------------------------
@@ -295,8 +336,8 @@ class SimulatedArm:
                 self.dynamics,
                 self.force_sensor.external,
                 self.force_sensor.wrench,
-                self._cycle,
-                self._rests,
+                self._zeroed_error,
+                self._progress,
                 self._time,
                 self.is_powered,
             )
@@ -312,7 +353,7 @@ class SimulatedArm:
         """
         if self._sample is not None:
             return self._sample.q_actual
-        return self._sensors.positions(self._setpoint, self._cycle, self._rests, self.is_powered)
+        return self._sensors.positions(self._setpoint, self._progress, self.is_powered)
 
     @property
     def qd_actual(self) -> list[float]:
@@ -323,7 +364,7 @@ class SimulatedArm:
         """
         if self._sample is not None:
             return self._sample.qd_actual
-        return self._sensors.speeds(self._setpoint, self._cycle)
+        return self._sensors.speeds(self._setpoint, self._progress)
 
     @property
     def dynamics(self) -> Dynamics:

@@ -6,13 +6,16 @@
 - **Moments** are computed for the rigid links and the rotors (`urlink.dynamics`).
 - **Currents** are these moments divided by the torque constants, plus friction (`urlink.arm.motors`), minus the effect
   of external forces on the tool. At rest, stiction carries a part of the load. Therefore the actual current of a joint
-  at rest has an error, a fraction of the friction, which differs from rest to rest.
-- **Positions at rest** have an error of some encoder steps, which also differs from rest to rest.
-- **The force** at the TCP is computed by `surroundings`.
-- **Temperatures** rise slowly. They rise further in joints with a higher load.
-- **The tool accelerometer** of an e-Series arm shows the acceleration of the flange plus the upward acceleration that
-  supports it against gravity, in the tool frame. On a CB arm, it shows only gravity, with the sign that a real CB2
-  packet contains.
+  at rest has an error, a fraction of the friction, which differs from rest to rest of this joint. The error of a moving
+  joint has a slow and a fast part.
+- **Control currents** of a CB arm are the actual currents without their noise. Those of an e-Series are the targets.
+- **Positions at rest** have an error of some encoder steps, which also differs from rest to rest. After a stop, each
+  joint creeps to this position for some tenths of a second.
+- **The force** at the TCP is computed by `surroundings`. The sensor adds an offset, an error that changes while the arm
+  moves, a drift, and noise. Offset, error and drift are fixed in the frame of the flange.
+- **Temperatures** are those of an arm that has been on. They rise slowly, and further in joints with a higher load.
+- **The tool accelerometer** shows the acceleration of the flange plus the upward acceleration that supports it against
+  gravity, in the tool frame. On a CB2 arm, it shows only gravity, with the sign that a real CB2 packet contains.
 
 For lags, offsets, noise and resolution steps, see `characteristics`. It is assumed that the elbow position in real-time
 packets is the same point as the elbow in the safety data of a CB3 capture.
@@ -23,10 +26,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from operator import add
-
-import numpy as np
+from operator import add, mul, sub
 
 from urlink.arm.dynamics import GRAVITY, Dynamics
 from urlink.arm.kinematics import Arm as Kinematics
@@ -35,13 +35,32 @@ from urlink.arm.motors import Motors
 from urlink.arm.parameters import number
 from urlink.arm.rigid import FLOATS, IDENTITY, Rigid, from_pose, product, to_pose
 
-from .characteristics import AMBIENT, JOINT_VOLTAGE, STEPS, TEMPERATURE_RISE, WARMING, SensorParameters
+from .characteristics import (
+    AMBIENT,
+    CURRENT_TIME,
+    DRIFT_TIME,
+    FORCE_SETTLING_TIME,
+    JOINT_VOLTAGE,
+    SETTLING_TIME,
+    STEPS,
+    TEMPERATURE_RISE,
+    TRACKING_TIME,
+    WANDER_TIME,
+    WARMED_BEFORE,
+    WARMING,
+    SensorParameters,
+)
+from .noise import Noise
 from .setpoint_sources import Setpoint
 
 _ZERO = [0.0] * 6
-# Number of random numbers, which are drawn once and then read in turn. It is a prime number, so that the noise of
-# different sensors does not repeat together.
-_NOISE_LENGTH = 8191
+# Channels of the noise.
+_POSITION, _SPEED, _ACCELEROMETER, _CURRENT, _VOLTAGE, _FORCE, _OFFSET, _STICTION = range(8)
+_TRACKING, _SETTLING, _SLOW_CURRENT, _WANDER, _DRIFT = range(8, 13)
+# Numbers of cycles of motion, and of any cycles, after which the slow errors are computed again.
+_SLOW_STEP, _DRIFT_STEP = 8, 64
+# Number of settling times after which the creeping that follows a stop has ended.
+_SETTLED = 6.0
 # Additional temperature rise in K for a holding current of 1 A. The rise is proportional to the square root of this
 # current.
 _RISE = 1.0
@@ -89,6 +108,38 @@ class Sample:
     speed_target: list[float]
 
 
+@dataclass(slots=True, eq=False)
+class Progress:
+    """History of an arm that its sensors depend on.
+
+    Attributes:
+        period: Duration of a cycle, in s.
+        cycle: Number of the cycle.
+        moved: Number of cycles in which the arm has moved.
+        rest: Number of the current or last rest.
+        joint_rests: Number of the current or last rest of each joint, shape (6,).
+        joint_changes: Number of changes of `joint_rests`.
+        stopped: Number of the cycle in which the last motion ended; None before the first motion.
+    """
+
+    period: float
+    cycle: int
+    moved: int
+    rest: int
+    joint_rests: list[int]
+    joint_changes: int
+    stopped: int | None
+
+    @property
+    def still(self) -> float:
+        """Time since the last motion, in s; infinite before the first one."""
+        return math.inf if self.stopped is None else (self.cycle - self.stopped) * self.period
+
+    def cycles(self, seconds: float) -> int:
+        """Return a time as a number of cycles, at least 1."""
+        return max(round(seconds / self.period), 1)
+
+
 class Sensors:
     """Sensors of one arm.
 
@@ -97,14 +148,38 @@ class Sensors:
         motors: Motors of the joints.
         parameters: Parameters of the sensors.
         q: Joint positions whose gravity load determines the temperature of each joint, shape (6,), in rad.
-        seed: Seed of the noise; None for no noise.
+        seed: Seed of the noise; None for ideal sensors, without noise, offset and drift.
+        is_cb2: Whether the arm has a CB2 controller.
     """
 
     def __init__(
-        self, kinematics: Kinematics, motors: Motors, parameters: SensorParameters, q: Sequence[float], seed: int | None
+        self,
+        kinematics: Kinematics,
+        motors: Motors,
+        parameters: SensorParameters,
+        q: Sequence[float],
+        seed: int | None,
+        is_cb2: bool,
     ) -> None:
         model = kinematics.model
-        self._kinematics, self._seed, self._of = kinematics, seed, parameters
+        self._kinematics, self._of, self._is_ideal, self._is_cb2 = kinematics, parameters, seed is None, is_cb2
+        self._noise = Noise(seed)
+        self._position_noise = Noise(seed, parameters.position_noise)
+        self._position_offset = Noise(seed, parameters.position_offset)
+        self._accelerometer_noise = Noise(seed, parameters.accelerometer_noise)
+        self._voltage_noise = Noise(seed, parameters.voltage_noise)
+        self._rest_current = [parameters.current_noise_at_rest] * 6
+        self._held: tuple[int, list[float]] | None = None
+        self._turn: Rigid[float] = IDENTITY
+        # Latest slow errors: the steps that they belong to, and their values.
+        self._error: tuple[tuple[int, int], list[float]] | None = None
+        self._slow: tuple[int, list[float]] | None = None
+        self._tracking: tuple[int, range, list[float], list[float]] | None = None
+        self._coulomb_error = [s * c for s, c in zip(parameters.stiction, motors.coulomb, strict=True)]
+        shares = parameters.current_correlation
+        self._slow_current = [n * math.sqrt(s) for n, s in zip(parameters.current_noise, shares, strict=True)]
+        self._fast_current = [n * math.sqrt(1.0 - s) for n, s in zip(parameters.current_noise, shares, strict=True)]
+        self._force_noise = [*parameters.force_noise, *parameters.torque_noise]
         self._motors = motors
         self._dynamics = Dynamics(model)
         self._tcp: list[float] = list(_ZERO)
@@ -130,33 +205,81 @@ class Sensors:
         self._warmed_to = -1
         self._warm: list[float] = []
 
-    def positions(self, setpoint: Setpoint, cycle: int, rest: int, is_powered: bool) -> list[float]:
-        """Return the actual joint positions, in rad.
-
-        `cycle` selects the noise. `rest`, the number of the current or last rest, selects the error of joints at rest.
-        """
-        measured = self._positions(setpoint, cycle, rest, is_powered)
+    def positions(self, setpoint: Setpoint, progress: Progress, is_powered: bool) -> list[float]:
+        """Return the actual joint positions, in rad. `progress` selects their errors."""
+        measured = self._positions(setpoint, progress, is_powered)
         return list(map(add, measured, self.deviation)) if any(self.deviation) else measured
 
-    def _positions(self, setpoint: Setpoint, cycle: int, rest: int, is_powered: bool) -> list[float]:
+    def _positions(self, setpoint: Setpoint, progress: Progress, is_powered: bool) -> list[float]:
         q, qd, _ = setpoint
         is_moving = any(qd)
-        if self._seed is None or not (is_powered or is_moving):
+        if self._is_ideal or not (is_powered or is_moving):
             # To first order, this is the position at the time t - lag; the derivative is known exactly.
             return [p - self._of.lag * v for p, v in zip(q, qd, strict=True)] if is_moving else q
-        noise = self._noise(cycle, 0, self._of.position_noise)
+        noise = self._position_noise.white(progress.cycle, _POSITION)
         if is_moving:
-            return [_stepped(p - self._of.lag * v + n, s) for p, v, n, s in zip(q, qd, noise, STEPS, strict=True)]
-        offset = self._noise(rest, 6, self._of.position_offset)
-        return [_stepped(p + o + n, s) for p, o, n, s in zip(q, offset, noise, STEPS, strict=True)]
+            lag = self._of.lag
+            error, change, past = self._tracking_error(progress)
+            return [
+                _stepped(p - lag * v + e + past * c + n, s) if v else _stepped(p + n, s)
+                for p, v, e, c, n, s in zip(q, qd, error, change, noise, STEPS, strict=True)
+            ]
+        offset = self._position_offset.white(progress.rest, _OFFSET)
+        creep = self._creep(progress)
+        if creep is None:
+            return [_stepped(p + o + n, s) for p, o, n, s in zip(q, offset, noise, STEPS, strict=True)]
+        return [_stepped(p + o + e + n, s) for p, o, e, n, s in zip(q, offset, creep, noise, STEPS, strict=True)]
 
-    def speeds(self, setpoint: Setpoint, cycle: int) -> list[float]:
+    def _tracking_error(self, progress: Progress) -> tuple[list[float], list[float], float]:
+        """Return the tracking error of the joints at the last knot and its change until the next one, in rad.
+
+        The third value is the part of the time between both knots that has passed.
+        """
+        if self._tracking is None or progress.moved - self._tracking[0] not in self._tracking[1]:
+            count = progress.cycles(TRACKING_TIME)
+            knot = progress.moved // count
+            # The mean variance of a line between two independent numbers is two thirds of theirs.
+            scales = [1.5**0.5 * each for each in self._of.tracking_error]
+            now, then = (list(map(mul, self._noise.white(at, _TRACKING), scales)) for at in (knot, knot + 1))
+            self._tracking = knot * count, range(count), now, list(map(sub, then, now))
+        begin, steps, error, change = self._tracking
+        return error, change, (progress.moved - begin) / len(steps)
+
+    def speeds(self, setpoint: Setpoint, progress: Progress) -> list[float]:
         """Return the actual joint speeds, in rad/s."""
         _, qd, qdd = setpoint
         if not any(qd):
+            creep = None if self._is_ideal else self._creep(progress)
+            return _ZERO if creep is None else [-each / SETTLING_TIME for each in creep]
+        noise, lag = self._noise.white(progress.cycle, _SPEED), self._of.speed_lag
+        return [
+            v - lag * a + n * s if v else 0.0 for v, a, n, s in zip(qd, qdd, noise, self._of.speed_noise, strict=True)
+        ]
+
+    def _creep(self, progress: Progress) -> list[float] | None:
+        """Return the distances of the joints from the position at which they come to rest, in rad; None for zeros."""
+        past = progress.still / SETTLING_TIME
+        if past > _SETTLED:
+            return None
+        decayed = self._of.settling * math.exp(-past)
+        return [decayed * a for a in self._noise.white(progress.rest, _SETTLING)]
+
+    def force_error(self, progress: Progress) -> list[float]:
+        """Return offset, slow error and drift of the force sensor in the frame of the flange, in N and Nm."""
+        if self._is_ideal:
             return _ZERO
-        noise = self._noise(cycle, 1, self._of.speed_noise)
-        return [v - self._of.speed_lag * a + n for v, a, n in zip(qd, qdd, noise, strict=True)]
+        key = progress.moved // _SLOW_STEP, progress.cycle // _DRIFT_STEP
+        if self._error is not None and self._error[0] == key:
+            return self._error[1]
+        of = self._of
+        wander = self._noise.switching(key[0] * _SLOW_STEP, progress.cycles(WANDER_TIME), _WANDER)
+        drift = self._noise.wandering(key[1] * _DRIFT_STEP, progress.cycles(DRIFT_TIME), _DRIFT)
+        error = [
+            o + w * x + d * y
+            for o, w, x, d, y in zip(of.force_offset, of.force_wander, wander, of.force_drift, drift, strict=True)
+        ]
+        self._error = key, error
+        return error
 
     def sample(
         self,
@@ -165,8 +288,8 @@ class Sensors:
         dynamics: Dynamics,
         external: Sequence[float],
         wrench: Sequence[float],
-        cycle: int,
-        rest: int,
+        zeroed: Sequence[float],
+        progress: Progress,
         time: float,
         is_powered: bool,
     ) -> Sample:
@@ -177,9 +300,9 @@ class Sensors:
             tcp: Tool centre point in the flange frame, shape (6,), in m and rad.
             dynamics: Dynamics of the arm with rotors and payload.
             external: Wrench on the TCP, shape (6,), in N and Nm in the base frame.
-            wrench: The same wrench, minus the offset of the force sensor, shape (6,).
-            cycle: Number of the cycle, which selects the noise.
-            rest: Number of the current or last rest of the arm, which selects the errors that differ from rest to rest.
+            wrench: Wrench that an ideal force sensor would show, shape (6,).
+            zeroed: Error of the force sensor when it was zeroed, in the frame of the flange, shape (6,).
+            progress: Cycle and history of the arm, which select the noise.
             time: Time since the arm was switched on, in s, for the temperatures.
             is_powered: Whether the motors have power.
         """
@@ -188,26 +311,57 @@ class Sensors:
         self._look_at(q, tcp, dynamics)
         s = Sample()
         s.q_target, s.qd_target, s.qdd_target = q, qd, qdd
-        s.q_actual = self.positions(setpoint, cycle, rest, is_powered)
-        s.qd_actual = self.speeds(setpoint, cycle)
+        s.q_actual = self.positions(setpoint, progress, is_powered)
+        s.qd_actual = self.speeds(setpoint, progress)
         s.pose_target = self._pose
-        s.pose_actual = self._forward(s.q_actual)
+        frame = product(self._flange(s.q_actual), self._tool)
+        s.pose_actual = list(to_pose(frame))
         s.speed_target = s.speed_actual = _ZERO
         if any(qd):
             s.speed_target = self._velocity(q, qd, s.pose_target)
+        if any(s.qd_actual):
             s.speed_actual = self._velocity(s.q_actual, s.qd_actual, s.pose_actual)
         s.momentum = 0.5 * self._mass * math.hypot(*s.speed_actual[:3])
         s.elbow_position, s.elbow_velocity = _elbow(*self._elbow, s.q_actual, s.qd_actual)
-        s.accelerometer = self._accelerations(setpoint, s.pose_actual, cycle, is_moving)
+        s.accelerometer = self._accelerations(s, frame, progress.cycle, is_moving)
         if is_powered:
-            self._measure_load(s, setpoint, self._moments(q, tcp, external), cycle, rest, is_moving)
-            n, o = self._noise(cycle, 5, 1.0), self._of.force_offset
-            noises = [self._of.force_noise] * 3 + [self._of.torque_noise] * 3
-            s.force = [f + each * scale + off for f, each, scale, off in zip(wrench, n, noises, o, strict=True)]
+            self._measure_load(s, setpoint, self._moments(q, tcp, external), progress, is_moving)
+            s.force = self._force(wrench, zeroed, progress, is_moving)
         else:
             s.M_target = s.I_target = s.I_control = s.I_actual = s.V_actual = s.force = _ZERO
         s.T_motor = self._temperatures(int(time))
         return s
+
+    def measured(
+        self, q: Sequence[float], wrench: Sequence[float], zeroed: Sequence[float], progress: Progress
+    ) -> Sequence[float]:
+        """Return the wrench that the force sensor measures, apart from its noise, along the axes of the base frame.
+
+        Args:
+            q: Target joint positions, shape (6,), in rad.
+            wrench: Wrench that an ideal sensor would show, shape (6,).
+            zeroed: Error of the sensor when it was zeroed, in the frame of the flange, shape (6,).
+            progress: Cycle and history of the arm.
+        """
+        if self._is_ideal:
+            return wrench
+        turn = self._turn if q is self._posture else self._flange(q)
+        return list(map(add, wrench, _turned(turn, list(map(sub, self.force_error(progress), zeroed)))))
+
+    def _force(
+        self, wrench: Sequence[float], zeroed: Sequence[float], progress: Progress, is_moving: bool
+    ) -> list[float]:
+        """Return the measured wrench with its noise, which is larger while the arm moves and just after it."""
+        if self._is_ideal:
+            return list(wrench)
+        noise, scales = self._noise.white(progress.cycle, _FORCE), self._force_noise
+        after = 0.0 if is_moving else progress.still / FORCE_SETTLING_TIME
+        if after < _SETTLED:
+            share = math.exp(-after)
+            scales = [a + share * b for a, b in zip(scales, self._of.motion_noise, strict=True)]
+        error = self.force_error(progress)
+        own = [e - z + n * s for e, z, n, s in zip(error, zeroed, noise, scales, strict=True)]
+        return list(map(add, wrench, _turned(self._turn, own)))
 
     def _look_at(self, q: Sequence[float], tcp: Sequence[float], dynamics: Dynamics) -> None:
         """Compute the values that depend on targets, tool and payload, if any of these has changed."""
@@ -217,15 +371,9 @@ class Sensors:
         if tcp != self._tcp:
             self._tcp, self._tool = list(tcp), from_pose(list(tcp))
         self._posture = q
-        self._pose = self._forward(q)
+        self._turn = self._flange(q)
+        self._pose = list(to_pose(product(self._turn, self._tool)))
         self._load = None
-
-    def _forward(self, q: Sequence[float]) -> list[float]:
-        """Return the pose of the TCP.
-
-        `Arm.forward` would take twice as long, because it checks its arguments and makes an array.
-        """
-        return list(to_pose(product(self._flange(q), self._tool)))
 
     def _flange(self, q: Sequence[float]) -> Rigid[float]:
         q1, q2, q3, q4, q5, q6 = q
@@ -253,7 +401,7 @@ class Sensors:
         return moments
 
     def _measure_load(
-        self, s: Sample, setpoint: Setpoint, moments: Sequence[float], cycle: int, rest: int, is_moving: bool
+        self, s: Sample, setpoint: Setpoint, moments: Sequence[float], progress: Progress, is_moving: bool
     ) -> None:
         """Compute moments, currents and voltages; `moments` are the external torques on the joints."""
         if self._load != (setpoint, moments):
@@ -265,56 +413,67 @@ class Sensors:
             control = [i - m / k for i, m, k in zip(target, moments, self._motors.torque_constants, strict=True)]
             self._currents = needed, target, control
         s.M_target, s.I_target, s.I_control = self._currents
-        if self._seed is None:
+        if self._is_ideal:
             s.I_actual = s.I_control
-        elif is_moving:
-            s.I_actual = list(map(add, s.I_control, self._noise(cycle, 3, self._of.current_noise)))
         else:
-            held = self._noise(rest, 7, self._of.stiction)
-            noise = self._noise(cycle, 3, self._of.current_noise_at_rest)
-            s.I_actual = [
-                i + h * c + n for i, h, c, n in zip(s.I_control, held, self._motors.coulomb, noise, strict=True)
-            ]
+            self._add_current_errors(s, setpoint.qd, progress, is_moving)
         if any(self.deviation):
             # The controller pushes a joint towards its target.
             pushed = [-push * d for push, d in zip(self._push, self.deviation, strict=True)]
             s.I_control, s.I_actual = list(map(add, s.I_control, pushed)), list(map(add, s.I_actual, pushed))
-        noise = self._noise(cycle, 4, self._of.voltage_noise)
+        noise = self._voltage_noise.white(progress.cycle, _VOLTAGE)
         idle, drop, step = JOINT_VOLTAGE
         s.V_actual = [_stepped(idle - drop * abs(i) + n, step) for i, n in zip(s.I_control, noise, strict=True)]
+
+    def _add_current_errors(self, s: Sample, qd: Sequence[float], progress: Progress, is_moving: bool) -> None:
+        """Set the actual currents, and on a CB arm the control currents, from the control currents without errors."""
+        if self._held is None or self._held[0] != progress.joint_changes:
+            held = self._noise.held(progress.joint_rests, _STICTION)
+            self._held = progress.joint_changes, list(map(mul, held, self._coulomb_error))
+        error, noises = self._held[1], self._rest_current
+        if is_moving:
+            step = progress.moved // _SLOW_STEP
+            if self._slow is None or self._slow[0] != step:
+                slow = self._noise.wandering(step * _SLOW_STEP, progress.cycles(CURRENT_TIME), _SLOW_CURRENT)
+                self._slow = step, list(map(mul, slow, self._slow_current))
+            error = [s if v else e for v, s, e in zip(qd, self._slow[1], error, strict=True)]
+            noises = [f if v else n for v, f, n in zip(qd, self._fast_current, noises, strict=True)]
+        measured = list(map(add, s.I_control, error))
+        s.I_actual = list(map(add, measured, map(mul, self._noise.white(progress.cycle, _CURRENT), noises)))
+        if not self._is_e:
+            s.I_control = measured
 
     def _temperatures(self, second: int) -> list[float]:
         if second != self._warmed_to:
             self._warmed_to = second
-            warm = 1.0 - math.exp(-second / WARMING)
+            warm = 1.0 - math.exp(-(second + WARMED_BEFORE) / WARMING)
             # The resolution is a sixteenth of a degree.
             self._warm = [round(16.0 * (AMBIENT + rise * warm)) / 16.0 for rise in self._rise]
         return self._warm
 
-    def _accelerations(self, setpoint: Setpoint, pose: Sequence[float], cycle: int, is_moving: bool) -> list[float]:
+    def _accelerations(self, s: Sample, tool: Rigid[float], cycle: int, is_moving: bool) -> list[float]:
         """Return the value that the accelerometer in the tool measures, in m/s² in the tool frame."""
-        noise = self._noise(cycle, 2, self._of.accelerometer_noise)
-        across = _upward(pose)
-        if not self._is_e:
+        noise = self._accelerometer_noise.white(cycle, _ACCELEROMETER)
+        # The axes x, y and z of the tool.
+        across = tool[0:9:3], tool[1:9:3], tool[2:9:3]
+        if self._is_cb2:
             return [n - GRAVITY * u[2] for u, n in zip(across, noise, strict=False)]
         x, y, z = 0.0, 0.0, GRAVITY
         if is_moving:
             # The sensor is in the flange. Compute the acceleration from two velocities of the flange, a microsecond
             # apart.
-            q, qd, qdd = setpoint
+            q, qd, qdd = s.q_target, s.qd_target, s.qdd_target
             later = [p + _MOMENT * v for p, v in zip(q, qd, strict=True)]
             faster = [v + _MOMENT * a for v, a in zip(qd, qdd, strict=True)]
-            before = self._velocity(q, qd, self._flange(q)[9:])
+            # The velocity of the flange now follows from that of the TCP.
+            vx, vy, vz, wx, wy, wz = s.speed_target
+            dx, dy, dz = map(sub, self._turn[9:], s.pose_target[:3])
             after = self._velocity(later, faster, self._flange(later)[9:])
-            x, y, up = ((b - a) / _MOMENT for a, b in zip(before[:3], after[:3], strict=True))
-            z += up
+            x = (after[0] - (vx + wy * dz - wz * dy)) / _MOMENT
+            y = (after[1] - (vy + wz * dx - wx * dz)) / _MOMENT
+            z += (after[2] - (vz + wx * dy - wy * dx)) / _MOMENT
         bias = self._of.accelerometer_bias
         return [u[0] * x + u[1] * y + u[2] * z + b + n for u, b, n in zip(across, bias, noise, strict=False)]
-
-    def _noise(self, at: int, channel: int, scale: float) -> tuple[float, ...]:
-        """Return six random numbers with the standard deviation `scale`; `at` is the number of a cycle or of a rest."""
-        begin = (at * 6 + channel * 1171) % _NOISE_LENGTH
-        return _noise(self._seed, scale)[begin : begin + 6]
 
 
 def _stepped(value: float, step: float) -> float:
@@ -322,10 +481,18 @@ def _stepped(value: float, step: float) -> float:
     return step * round(value / step) if step else value
 
 
-def _upward(pose: Sequence[float]) -> tuple[tuple[float, float, float], ...]:
-    """Return the axes x, y and z of the tool as three unit vectors in the base frame."""
-    matrix = from_pose(list(pose))
-    return (matrix[0], matrix[3], matrix[6]), (matrix[1], matrix[4], matrix[7]), (matrix[2], matrix[5], matrix[8])
+def _turned(turn: Rigid[float], wrench: Sequence[float]) -> list[float]:
+    """Return a wrench along the axes of the base frame, given it along those of a frame."""
+    a, b, c, d, e, f, g, h, i, _, _, _ = turn
+    fx, fy, fz, mx, my, mz = wrench
+    return [
+        a * fx + b * fy + c * fz,
+        d * fx + e * fy + f * fz,
+        g * fx + h * fy + i * fz,
+        a * mx + b * my + c * mz,
+        d * mx + e * my + f * mz,
+        g * mx + h * my + i * mz,
+    ]
 
 
 def _elbow(a2: float, d1: float, q: Sequence[float], qd: Sequence[float]) -> tuple[list[float], list[float]]:
@@ -341,11 +508,3 @@ def _elbow(a2: float, d1: float, q: Sequence[float], qd: Sequence[float]) -> tup
         [out * c1, out * s1, d1 + a2 * s2],
         [speed * c1 - out * s1 * turn, speed * s1 + out * c1 * turn, a2 * c2 * lift],
     )
-
-
-@lru_cache(maxsize=64)
-def _noise(seed: int | None, scale: float) -> tuple[float, ...]:
-    if seed is None:
-        return (0.0,) * (_NOISE_LENGTH + 6)
-    numbers: list[float] = (scale * np.random.default_rng(seed).standard_normal(_NOISE_LENGTH)).tolist()
-    return (*numbers, *numbers[:6])

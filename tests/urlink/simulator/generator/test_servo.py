@@ -51,7 +51,7 @@ def test_arm_follows_a_wave_with_the_documented_lag(lookahead: float, gain: floa
 
 
 def test_servoj_lag_of_common_driver_settings_is_as_documented() -> None:
-    assert lag_of(0.008, 0.03, 300.0) == pytest.approx(0.0217, abs=1e-4)
+    assert lag_of(0.008, 0.03, 300.0) == pytest.approx(0.0337, abs=1e-4)
     assert lag_of(0.008, 0.0, 0.0) == 0.008
 
 

@@ -264,7 +264,8 @@ def _currents(evidence: Evidence) -> Measured:
 #: value.
 _NOISY = ("q_actual", "I_actual", "tool_accelerometer")
 _UNEQUAL = ("q_actual", "I_actual", "motor_temperatures", "V_actual")
-#: Duration in s after which a constant measurement is suspicious.
+#: Duration in s after which a constant measurement is suspicious. In the logs of a UR3e, a UR5e and a UR5 CB3 at rest,
+#: no noisy measurement is the same for all joints or axes in two rows, which are 8 to 40 ms apart.
 _CONSTANT = 1.5
 
 

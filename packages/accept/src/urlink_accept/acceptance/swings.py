@@ -221,7 +221,8 @@ def _of_joints(swings: _Swings, found: ArmFile, *names: str) -> Iterator[tuple[P
 def _of_arm(found: ArmFile, *names: str) -> Iterator[tuple[Parameter, Estimate]]:
     for name in names:
         if name in found.estimates:
-            of = force_size(found.model) if (name, "") not in parameters() else ""
+            rows = "", force_size(found.model), joint_sizes(found.model)[0], "other"
+            of = next(each for each in rows if (name, each) in parameters())
             yield parameters()[name, of], found.estimates[name][0]
 
 

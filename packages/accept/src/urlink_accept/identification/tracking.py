@@ -60,15 +60,19 @@ def noise(samples: Samples, coulomb: FloatArray) -> dict[str, Estimate]:
     needs = f"rests of {_SETTLING + _SHORT} s and more, at least two"
     names = ("position_noise", "position_offset", "current_noise_at_rest", "stiction", "force_noise", "torque_noise")
     found = dict.fromkeys(names, Estimate.unknown(needs))
-    found["current_noise"] = Estimate.unknown("actual_current and joint_control_output in the recording")
+    found["current_noise"] = Estimate.unknown(
+        "actual_current and target_current or joint_control_output in the recording"
+    )
     if "actual_q" in samples:
         # The targets of a rest are constant, whether they are recorded or not.
         off = samples["actual_q"] - (0.0 if "target_q" in samples.derived else samples["target_q"])
         found["position_noise"] = _deviation(off, pieces, needs)
         if len(rests) > 1 and "target_q" not in samples.derived:
             found["position_offset"] = _spread(np.array([off[rows].mean(axis=0) for rows in rests]))
-    if {"actual_current", "joint_control_output"} <= samples.keys():
-        off = samples["actual_current"] - samples["joint_control_output"]
+    # The control current of a CB3 is the measured current, smoothed, so it cannot show the error of the current.
+    expected = next((name for name in ("target_current", "joint_control_output") if name in samples), None)
+    if expected is not None and "actual_current" in samples:
+        off = samples["actual_current"] - samples[expected]
         found["current_noise_at_rest"] = _deviation(off, pieces, needs)
         if len(rests) > 1:
             found["stiction"] = _spread(np.array([off[rows].mean(axis=0) / coulomb for rows in rests]))

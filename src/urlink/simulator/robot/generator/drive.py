@@ -114,10 +114,11 @@ class ArmDrive:
         Raises:
             LimitViolation: If the set-point would exceed a limit.
         """
-        nominal, wrench, torques = self.generator.advance(seconds), self._arm.wrench, self._arm.pushed_joints
+        nominal = self.generator.advance(seconds)
         if isinstance(self._compliant, FreeJoints):
-            self.setpoint = self._compliant.advance(wrench, torques, seconds)
+            self.setpoint = self._compliant.advance(self._arm.pushing_wrench, self._arm.pushed_joints, seconds)
         elif self._compliant is not None:
+            wrench, torques = self._arm.wrench, self._arm.pushed_joints
             if any(torques):
                 arm = self.generator.arm
                 across = arm.kinematics.jacobian(self.setpoint.q, arm.tcp).T

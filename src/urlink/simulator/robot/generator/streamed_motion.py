@@ -4,9 +4,9 @@ The command for set-points is servoj. The commands for speeds are speedj, speedl
 zero. The algorithm with which a real controller follows set-points is not published, only the purpose of two arguments:
 a longer look-ahead time makes the motion smoother, and a higher gain makes it follow more closely. The model in this
 module is assumed. Each joint follows the set-points like a critically damped spring. If the set-points move at constant
-speed, the joint lags behind them by half the look-ahead time plus two divided by the gain, in seconds. For a look-ahead
-time of 0.03 s and a gain of 300, the lag is 22 ms. A joint never overshoots a set-point that is at rest. On firmware
-without the two arguments, the lag is the time of the set-point.
+speed, the joint lags behind them by 0.9 of the look-ahead time plus two divided by the gain, in seconds. For a
+look-ahead time of 0.03 s and a gain of 300, the lag is 34 ms. A joint never overshoots a set-point that is at rest. On
+firmware without the two arguments, the lag is the time of the set-point.
 
 If the time of a set-point is several cycles long, the goal of the joints moves on a straight line to the set-point
 during these cycles. If no other set-point follows, the arm comes to rest at the last set-point.
