@@ -35,8 +35,8 @@ extensions = [
     "summary",
     "variables",
 ]
-# Attributes are entries of a list. As link targets, an attribute such as `GripperStatus.object` would also be the target
-# of each type `object`.
+# Attributes are entries of a list. As a link target, an attribute such as `GripperStatus.object` would also be the
+# target of each type `object`.
 napoleon_use_ivar = True
 # tables: for readers of the repository, who do not see the output of directives
 exclude_patterns = ["_build", "_extensions", "_plots", "tables"]
