@@ -325,6 +325,7 @@ CALLS: dict[str, Callable[[Robot], object]] = {
 
 #: Other public methods of these classes, which send nothing or have their own test.
 SENDS_NOTHING = """
+    Robot.wrench Safety.explain
     Robot.close Robot.record Robot.view
     ToolSerial.close ToolSerial.discard
     IO.analog_in IO.analog_out IO.configurable_digital_in IO.configurable_digital_out IO.digital_in IO.digital_out

@@ -114,7 +114,7 @@ class Pair:
         for side, start in zip(self.sides, self.start, strict=True):
             when, q, _ = side.path()
             way = np.abs(q - start[5])
-            assert np.diff(way).min() > -1e-4
+            assert np.diff(way).min() > -5e-4
             found.append((when, way))
         return found
 
@@ -159,7 +159,7 @@ def test_move_joints_moves_all_arms_in_step(firmwares: tuple[str, str]) -> None:
             assert motion.progress == 1.0
             assert both.seconds_apart() < max(1.0 / side.rate for side in both.sides)
             for side, goal in zip(both.sides, both.goals(WAY if number % 2 else -WAY), strict=True):
-                assert side.robot.realtime.wait().q_target == pytest.approx(goal, abs=1e-3)
+                assert side.robot.realtime.wait().q_target == pytest.approx(goal, abs=3e-3)
 
 
 @pytest.mark.slow
@@ -173,7 +173,7 @@ def test_follow_adopts_the_pace_of_the_slower_arm() -> None:
             both.sides[side].robot.set_speed_slider(fraction)
         motion.wait()
         assert both.sim.now - began > 3.0
-        assert both.radians_apart() < 0.01
+        assert both.radians_apart() < 0.02
 
 
 @pytest.mark.slow
@@ -192,7 +192,7 @@ def test_pause_of_one_arm_halts_both_until_it_resumes() -> None:
         assert 0.01 < both.radians_apart() < 0.1  # one arm brakes at once, the other as after a slider change
         assert both.radians_apart(1.0) < 0.005
         for side, path in zip(both.sides, both.steady(2.4), strict=True):
-            assert side.robot.realtime.wait().q_target == pytest.approx(path.q[-1], abs=1e-3)
+            assert side.robot.realtime.wait().q_target == pytest.approx(path.q[-1], abs=3e-3)
 
 
 @pytest.mark.slow
@@ -354,7 +354,7 @@ def test_pause_of_one_arm_halts_the_stream_of_both() -> None:
         assert both.radians_apart() < 0.1
         assert both.radians_apart(0.95) < 0.003
         for side, path in zip(both.sides, both.steady(2.4), strict=True):
-            assert side.robot.realtime.wait().q_target == pytest.approx(path.q[-1], abs=1e-3)
+            assert side.robot.realtime.wait().q_target == pytest.approx(path.q[-1], abs=3e-3)
 
 
 @pytest.mark.slow
@@ -373,7 +373,7 @@ def test_all_arms_halt_when_one_stream_starves() -> None:
         assert [each.starved for each in stream.motions] == [0, 1]
         assert stream.starved == 1
         for side, path in zip(both.sides, both.steady(2.4), strict=True):
-            assert side.robot.realtime.wait().q_target == pytest.approx(path.q[-1], abs=1e-3)
+            assert side.robot.realtime.wait().q_target == pytest.approx(path.q[-1], abs=3e-3)
 
 
 def beside(path: Trajectory, way: float) -> Trajectory:
@@ -397,7 +397,7 @@ def test_replace_and_clear_take_effect_in_all_arms_at_once(firmwares: tuple[str,
             assert stream.time == pytest.approx(2.4)
             assert both.radians_apart() < 0.5 * 2 * cycle  # at 0.5 rad/s
             for side, path in zip(both.sides, both.steady(2.4), strict=True):
-                assert side.robot.realtime.wait().q_target[5] == pytest.approx(path.q[-1, 5] + 0.05, abs=1e-3)
+                assert side.robot.realtime.wait().q_target[5] == pytest.approx(path.q[-1, 5] + 0.05, abs=3e-3)
             both.begin()
             stream.append(both.dense(), wait=False)
             time.sleep(0.8)
@@ -430,7 +430,7 @@ def test_replace_changes_no_arm_when_one_arm_refuses() -> None:
         stream.wait_until_dry()
         assert stream.starved == 0
         for side, path in zip(both.sides, both.steady(2.4), strict=True):
-            assert side.robot.realtime.wait().q_target == pytest.approx(path.q[-1], abs=1e-3)
+            assert side.robot.realtime.wait().q_target == pytest.approx(path.q[-1], abs=3e-3)
 
 
 @pytest.mark.slow

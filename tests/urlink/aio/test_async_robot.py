@@ -307,7 +307,7 @@ def test_delayed_loop_can_still_stop_arm(controller: Controller, is_handle: bool
             time.sleep(0.6)  # the loop reads nothing in this time
             await asyncio.wait({waiting})
             assert waiting.cancelled()
-            await robot.realtime.wait_until(lambda state: bool(np.all(state.qd_actual == 0)), timeout=4.0)
+            await robot.realtime.wait_until(lambda state: bool(np.all(state.qd_target == 0)), timeout=4.0)
             assert handle.phase is urlink.Phase.CANCELLED
 
     run(hold_up())
