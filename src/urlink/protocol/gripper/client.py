@@ -15,7 +15,7 @@ from linkcore.wire.fields import OpenInt
 from ..ports import PORTS
 from .onrobot import RGGripper, RGModel
 from .protocol import set_line
-from .robotiq import FAULTS, GripperFault, RobotiqGripper
+from .robotiq import RobotiqGripper
 from .vacuum import VacuumGripper
 
 #: Stroke of the fingers of the 2F-85, in m.
@@ -205,12 +205,7 @@ class Gripper(RobotiqGripper):
         """
         seconds = check_wait(wait)
         line = set_line({"POS": position, "SPE": speed, "FOR": force, "GTO": 1})
-        if self.get("STA") != 3:
-            raise GripperFault("the gripper is not activated, so no motion was sent; call activate() first", 7)
-        self._set(line, moves=True)
-        # The gripper accepts the request some milliseconds later. Until then, it reports the result of the last one.
-        until = clock.now() + self._timeout
-        self._await(lambda: self.get("PRE") == position, until, self._timeout, "the request was not accepted")
+        self._request(line, position, "no motion")
         return self.wait(seconds) if seconds else self.status()
 
     def open(self, *, speed: int = 255, force: int = 128, wait: bool | float = True) -> GripperStatus:
@@ -232,14 +227,13 @@ class Gripper(RobotiqGripper):
             LinkTimeout: If the fingers are not at rest in time. They might still move.
         """
         until = clock.now() + check_seconds(timeout, "timeout", finite=True)
-        found: list[GripperStatus] = []
-
-        def rests() -> bool:
-            found[:] = [self._checked(self.status())]
-            return not found[0].is_moving
-
-        self._await(rests, until, timeout, "the fingers did not come to rest")
-        return found[0]
+        return self._await(
+            lambda: self._checked(self.status()),
+            until,
+            timeout,
+            "the fingers did not come to rest",
+            lambda status: not status.is_moving,
+        )
 
     @staticmethod
     def position_of(opening: float, stroke: float = _STROKE) -> int:
@@ -283,12 +277,6 @@ class Gripper(RobotiqGripper):
     def set(self, /, **values: int) -> None:
         """Set variables of the gripper at once, such as ``set(ATR=1, ADR=0)``, if no method sets them."""
         self._set(set_line(values), moves="POS" in values or values.get("GTO") == 1)
-
-    def _checked(self, status: GripperStatus) -> GripperStatus:
-        if status.fault:
-            what = FAULTS.get(status.fault, "unknown fault")
-            raise GripperFault(f"the gripper has fault {status.fault}: {what}", status.fault)
-        return status
 
     def _disconnect(self) -> None:
         """Disconnect permanently."""

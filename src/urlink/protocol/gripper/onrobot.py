@@ -14,7 +14,6 @@ from typing import Literal, NamedTuple, get_args
 
 from linkcore import clock
 from linkcore.arguments import check_choice, check_number, check_seconds, check_wait, check_whole
-from linkcore.errors import LinkTimeout
 from linkcore.names import StrictAttributes
 from linkcore.net.dialogue import Dialogue
 from linkcore.net.transport import TcpTransport
@@ -22,7 +21,8 @@ from linkcore.net.undo import PendingUndos, Undo
 
 from ..ports import PORTS, service_of
 from .modbus_tcp import ModbusTcpProtocol, read_line, rejection, values_of, write_line
-from .robotiq import POLL, GripperFault
+from .reading import POLL, read_until
+from .robotiq import GripperFault
 
 RGModel = Literal["rg2", "rg6"]
 
@@ -201,12 +201,8 @@ class RGGripper(StrictAttributes):
             LinkTimeout: If the fingers are not at rest in time. They might still move.
         """
         until = clock.now() + check_seconds(timeout, "timeout", finite=True)
-        while (status := self._checked(self.status())).is_moving:
-            left = until - clock.now()
-            if left <= 0:
-                raise LinkTimeout(f"the gripper at {self._name}: the fingers did not come to rest within {timeout:g} s")
-            clock.sleep(min(POLL, left))
-        return status
+        failure = f"the gripper at {self._name}: the fingers did not come to rest within {timeout:g} s"
+        return read_until(lambda: self._checked(self.status()), lambda status: not status.is_moving, until, failure)
 
     # -- state -----------------------------------------------------------------------------------------
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
+from typing import ClassVar, Protocol, TypeVar
 
 from linkcore import clock
 from linkcore.arguments import check_seconds
-from linkcore.errors import LinkTimeout, RemoteError
+from linkcore.errors import RemoteError
 from linkcore.names import StrictAttributes
 from linkcore.net.dialogue import Dialogue
 from linkcore.net.transport import TcpTransport
@@ -15,9 +16,10 @@ from linkcore.net.undo import PendingUndos, Undo
 
 from ..ports import service_of
 from .protocol import GripperProtocol, get_line, set_line, value_of
+from .reading import read_until
 
-#: Interval for polling a moving gripper, in seconds.
-POLL = 0.02
+T = TypeVar("T")
+
 #: Variables that reset a gripper.
 RESET: Mapping[str, int] = {"ACT": 0, "ATR": 0}
 
@@ -53,17 +55,22 @@ class GripperFault(RemoteError):
         return str(self.args[0])
 
 
-class RobotiqGripper(StrictAttributes):
-    """Common part of the grippers of Robotiq.
+class HasFault(Protocol):
+    """State of a gripper that contains the number of its fault."""
 
-    Args:
-        host: Host name or address of the controller.
-        port: Port number, 63352 on a real controller.
-        timeout: Maximum time to connect, and for each reply, in seconds.
-        refused: Function that returns a hint for the error if the connection is refused.
-        undos: Pending undos of the commands to this controller. If None, use the undos that all objects in this process
-            share for the controller.
-    """
+    @property
+    def fault(self) -> int:
+        """Number of the fault; 0 for none."""
+
+
+S = TypeVar("S", bound=HasFault)
+
+
+class RobotiqGripper(StrictAttributes):
+    """Common part of the grippers of Robotiq. For the arguments, see `Gripper`."""
+
+    #: Numbers of `FLT` that are results of a command, and not faults.
+    _RESULTS: ClassVar[Mapping[int, str]] = {}
 
     def __init__(
         self,
@@ -109,12 +116,31 @@ class RobotiqGripper(StrictAttributes):
         if reply.casefold() != "ack":
             raise GripperFault(f"the gripper did not execute {line!r}, and answered {reply[:80]!r}")
 
-    def _await(self, condition: Callable[[], bool], until: float, timeout: float, otherwise: str) -> None:
-        while not condition():
-            left = until - clock.now()
-            if left <= 0:
-                raise LinkTimeout(f"the gripper at {self._name}: {otherwise} within {timeout:g} s")
-            clock.sleep(min(POLL, left))
+    def _request(self, line: str, position: int, unsent: str) -> None:
+        """Send a line that sets a position, and wait until the gripper has accepted it."""
+        if self._get("STA") != 3:
+            raise GripperFault(f"the gripper is not activated, so {unsent} was sent; call activate() first", 7)
+        self._set(line, moves=True)
+        # The gripper accepts the request some milliseconds later. Until then, it reports the result of the last one.
+        until = clock.now() + self._timeout
+        self._await(lambda: self._get("PRE") == position, until, self._timeout, "the request was not accepted")
+
+    def _await(
+        self,
+        read: Callable[[], T],
+        until: float,
+        timeout: float,
+        otherwise: str,
+        is_done: Callable[[T], object] = bool,
+    ) -> T:
+        failure = f"the gripper at {self._name}: {otherwise} within {timeout:g} s"
+        return read_until(read, is_done, until, failure)
+
+    def _checked(self, status: S) -> S:
+        if status.fault and status.fault not in self._RESULTS:
+            what = FAULTS.get(status.fault, "unknown fault")
+            raise GripperFault(f"the gripper has fault {status.fault}: {what}", status.fault)
+        return status
 
     def _disconnect(self) -> None:
         """Disconnect permanently."""

@@ -17,11 +17,11 @@ from typing import NamedTuple
 
 from linkcore import clock
 from linkcore.arguments import check_number, check_seconds, check_wait
-from linkcore.errors import BadValue, LinkTimeout
+from linkcore.errors import BadValue
 from linkcore.wire.fields import OpenInt
 
 from .protocol import WRITABLE, set_line
-from .robotiq import FAULTS, POLL, RESET, GripperFault, RobotiqGripper
+from .robotiq import RESET, RobotiqGripper
 
 #: Variables of a vacuum gripper that can be set: name -> maximum value. `MOD` is 0 for automatic, 1 for advanced mode.
 VACUUM_WRITABLE: Mapping[str, int] = {**WRITABLE, "MOD": 1}
@@ -111,16 +111,10 @@ class VacuumGripper(RobotiqGripper):
     **If no reply arrives, the gripper might still execute the command.** If the command grips or releases, urlink stops
     the gripper at the first contact, before it sends any other command. An object might fall then.
 
-    All methods that contact the gripper raise the errors of `Gripper`.
-
-    Args:
-        host: Host name or address of the controller.
-        port: Port number, 63352 on a real controller.
-        timeout: Maximum time to connect, and for each reply, in seconds.
-        refused: Function that returns a hint for the error if the connection is refused.
-        undos: Pending undos of the commands to this controller. If None, use the undos that all objects in this process
-            share for the controller.
+    All methods that contact the gripper raise the errors of `Gripper`. For the arguments, see `Gripper` too.
     """
+
+    _RESULTS = RESULTS
 
     def activate(self, *, again: bool = False, timeout: float = 15.0) -> VacuumStatus:
         """Activate the gripper, and wait until it is active.
@@ -232,26 +226,8 @@ class VacuumGripper(RobotiqGripper):
     # -- internal --------------------------------------------------------------------------------------
 
     def _command(self, values: dict[str, int]) -> None:
-        line = set_line(values, VACUUM_WRITABLE)
-        if self._get("STA") != 3:
-            raise GripperFault("the gripper is not activated, so nothing was sent; call activate() first", 7)
-        self._set(line, moves=True)
-        # The gripper accepts the request some milliseconds later. Until then, it reports the result of the last one.
-        timeout = self._timeout
-        until = clock.now() + timeout
-        self._await(lambda: self._get("PRE") == values["POS"], until, timeout, "the request was not accepted")
+        self._request(set_line(values, VACUUM_WRITABLE), values["POS"], "nothing")
 
     def _await_status(self, condition: Callable[[VacuumStatus], bool], seconds: float, otherwise: str) -> VacuumStatus:
         until = clock.now() + seconds
-        while not condition(status := self._checked(self.status())):
-            left = until - clock.now()
-            if left <= 0:
-                raise LinkTimeout(f"the gripper at {self._name}: {otherwise} within {seconds:g} s")
-            clock.sleep(min(POLL, left))
-        return status
-
-    def _checked(self, status: VacuumStatus) -> VacuumStatus:
-        if status.fault and status.fault not in RESULTS:
-            what = FAULTS.get(status.fault, "unknown fault")
-            raise GripperFault(f"the gripper has fault {status.fault}: {what}", status.fault)
-        return status
+        return self._await(lambda: self._checked(self.status()), until, seconds, otherwise, condition)

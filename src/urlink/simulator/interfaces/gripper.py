@@ -6,8 +6,7 @@ The replies have the form that public clients and the programs of the URCap expe
 
 from __future__ import annotations
 
-from ..robot.gripper import SimulatedGripper
-from ..robot.suction import SimulatedVacuumGripper
+from ..robot.mounted_gripper import UrcapGripper
 from ..state import ControllerState
 from .interface import Interface, InterfaceClient, LineReceiver
 
@@ -20,7 +19,7 @@ class GripperInterface(Interface):
         gripper: Mounted gripper, with fingers or suction cups; None if this URCap is not installed.
     """
 
-    def __init__(self, state: ControllerState, gripper: SimulatedGripper | SimulatedVacuumGripper | None) -> None:
+    def __init__(self, state: ControllerState, gripper: UrcapGripper | None) -> None:
         self._state = state
         self._gripper = gripper
 

@@ -16,12 +16,12 @@ assumed: an invalid request gets no answer, and answers are sent immediately.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Sequence
 
 from linkcore.errors import BadValue
-from linkcore.names import StrictAttributes
 from urlink.protocol.gripper.protocol import READABLE, WRITABLE
+
+from .mounted_gripper import UrcapGripper
 
 #: Distance between the open fingers, in m.
 STROKE = 0.085
@@ -35,7 +35,7 @@ _MOVING, _STOPPED_OPENING, _STOPPED_CLOSING, _AT_REQUEST = range(4)
 _NOT_ACTIVATED = 7
 
 
-class SimulatedGripper(StrictAttributes):
+class SimulatedGripper(UrcapGripper):
     """Gripper of a simulated controller. Initially, it is reset, and its fingers are open.
 
     Args:
@@ -48,13 +48,7 @@ class SimulatedGripper(StrictAttributes):
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
-        self.registers = dict.fromkeys(WRITABLE, 0)
-        self.is_connected = True
-        self.fault = 0
-        # Tests read the gripper while the server's thread replies to clients.
-        self._lock = threading.Lock()
-        self._clock = clock
-        self._seen = clock()
+        super().__init__(clock, WRITABLE, READABLE)
         self._position = 0.0
         self._object: float | None = None
         self._is_inside = False
@@ -117,12 +111,6 @@ class SimulatedGripper(StrictAttributes):
             self._advance()
             return self._stop in (_STOPPED_OPENING, _STOPPED_CLOSING)
 
-    def reply(self, line: str) -> str | None:
-        """Return the reply to a line from a client, without a line ending; None if the line gets no reply."""
-        with self._lock:
-            self._advance()
-            return self._answer(line.split())
-
     def exchange(self, values: dict[str, int], names: Sequence[str]) -> list[int]:
         """Set registers, and return the values of other registers at the same moment."""
         with self._lock:
@@ -130,18 +118,6 @@ class SimulatedGripper(StrictAttributes):
             if values:
                 self._write(values)
             return [self._read(name) for name in names]
-
-    def _answer(self, words: list[str]) -> str | None:
-        if words[:1] == ["GET"] and len(words) == 2:
-            if words[1] not in READABLE or not self.is_connected:
-                return "?"
-            return f"{words[1]} {self._read(words[1])}"
-        if words[:1] == ["SET"] and len(words) > 1 and len(words) % 2:
-            pairs = dict(zip(words[1::2], words[2::2], strict=True))
-            if all(_is_value(name, value) for name, value in pairs.items()):
-                self._write({name: int(value) for name, value in pairs.items()})
-                return "ack"
-        return "?" if words else None
 
     def _read(self, name: str) -> int:
         shown = self.registers | {
@@ -173,9 +149,7 @@ class SimulatedGripper(StrictAttributes):
 
     def _advance(self) -> None:
         """Advance the fingers to the current time of the controller."""
-        now = self._clock()
-        # Ignore negative differences: after a reboot of the controller, its clock starts again at 0.
-        seconds, self._seen = max(now - self._seen, 0.0), now
+        seconds = self._elapsed()
         while seconds > 0.0 and self._calibration:
             seconds = self._travel(self._calibration[0], _ACTIVATING, seconds)
             if self._stop != _MOVING:
@@ -211,10 +185,6 @@ class SimulatedGripper(StrictAttributes):
         if self._object is None:
             return False
         return position < self._object if self._is_inside else position > self._object
-
-
-def _is_value(name: str, value: str) -> bool:
-    return name in WRITABLE and value.isdecimal() and len(value) < 4 and int(value) <= WRITABLE[name]
 
 
 # -- Modbus RTU -----------------------------------------------------------------------------------

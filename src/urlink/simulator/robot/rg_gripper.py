@@ -11,11 +11,9 @@ The registers are those of `urlink.protocol.gripper.onrobot`. The following is a
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Sequence
 
 from linkcore.arguments import check_number
-from linkcore.names import StrictAttributes
 from urlink.protocol.gripper.onrobot import (
     BUSY,
     COMMAND,
@@ -32,13 +30,15 @@ from urlink.protocol.gripper.onrobot import (
     RGModel,
 )
 
+from .mounted_gripper import MountedGripper
+
 #: Speed of the fingers, in m/s.
 _SPEED = 0.1
 #: Control word: move to the width between the fingers, without the fingertip offset.
 _GRIP_WITHOUT_OFFSET = 0x0001
 
 
-class SimulatedRGGripper(StrictAttributes):
+class SimulatedRGGripper(MountedGripper):
     """RG2 or RG6 of a simulated controller. Initially, its fingers are open.
 
     Args:
@@ -52,13 +52,8 @@ class SimulatedRGGripper(StrictAttributes):
     """
 
     def __init__(self, model: RGModel, clock: Callable[[], float]) -> None:
+        super().__init__(clock)
         self.model = model
-        self.fault = 0
-        self.is_connected = True
-        # Tests read the gripper while the server's thread replies to clients.
-        self._lock = threading.RLock()
-        self._clock = clock
-        self._seen = clock()
         self._command = [0, 0, 0]
         self._stroke = LIMITS[model][0]
         self._width = self._goal = self._stroke
@@ -155,9 +150,7 @@ class SimulatedRGGripper(StrictAttributes):
 
     def _advance(self) -> None:
         """Advance the fingers to the current time of the controller."""
-        now = self._clock()
-        # Ignore negative differences: after a reboot of the controller, its clock starts again at 0.
-        seconds, self._seen = max(now - self._seen, 0.0), now
+        seconds = self._elapsed()
         if self.fault:
             self._is_moving = False
         if not self._is_moving:

@@ -12,12 +12,12 @@ The following is assumed:
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 
-from linkcore.names import StrictAttributes
 from urlink.protocol.gripper.protocol import READABLE
 from urlink.protocol.gripper.vacuum import AMBIENT, VACUUM_WRITABLE
+
+from .mounted_gripper import UrcapGripper
 
 #: Rate at which the vacuum changes, in kPa/s.
 _RATE = 100.0
@@ -29,7 +29,7 @@ _UNKNOWN, _AT_MINIMUM, _AT_REQUEST, _NO_OBJECT = range(4)
 _TIMED_OUT, _NOT_ACTIVATED = 6, 7
 
 
-class SimulatedVacuumGripper(StrictAttributes):
+class SimulatedVacuumGripper(UrcapGripper):
     """Vacuum gripper of a simulated controller. Initially, it is reset, and there is no object at its suction cups.
 
     Args:
@@ -42,13 +42,7 @@ class SimulatedVacuumGripper(StrictAttributes):
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
-        self.registers = dict.fromkeys(VACUUM_WRITABLE, 0)
-        self.is_connected = True
-        self.fault = 0
-        # Tests read the gripper while the server's thread replies to clients.
-        self._lock = threading.RLock()
-        self._clock = clock
-        self._seen = clock()
+        super().__init__(clock, VACUUM_WRITABLE, READABLE)
         self._vacuum = 0.0
         self._is_sealed = False
         self._result = _UNKNOWN
@@ -85,24 +79,6 @@ class SimulatedVacuumGripper(StrictAttributes):
             self._advance()
             return self._result in (_AT_MINIMUM, _AT_REQUEST)
 
-    def reply(self, line: str) -> str | None:
-        """Return the reply to a line from a client, without a line ending; None if the line gets no reply."""
-        with self._lock:
-            self._advance()
-            return self._answer(line.split())
-
-    def _answer(self, words: list[str]) -> str | None:
-        if words[:1] == ["GET"] and len(words) == 2:
-            name = words[1]
-            is_known = name in READABLE or name in VACUUM_WRITABLE
-            return f"{name} {self._read(name)}" if is_known and self.is_connected else "?"
-        if words[:1] == ["SET"] and len(words) > 1 and len(words) % 2:
-            pairs = dict(zip(words[1::2], words[2::2], strict=True))
-            if all(_is_value(name, value) for name, value in pairs.items()):
-                self._write({name: int(value) for name, value in pairs.items()})
-                return "ack"
-        return "?" if words else None
-
     def _read(self, name: str) -> int:
         shown = self.registers | {
             "POS": min(max(round(AMBIENT - self._vacuum), 0), 255),
@@ -130,9 +106,7 @@ class SimulatedVacuumGripper(StrictAttributes):
 
     def _advance(self) -> None:
         """Advance the pressure to the current time of the controller."""
-        now = self._clock()
-        # Ignore negative differences: after a reboot of the controller, its clock starts again at 0.
-        seconds, self._seen = max(now - self._seen, 0.0), now
+        seconds = self._elapsed()
         is_on = self.registers["ACT"] and self.registers["GTO"]
         wanted = AMBIENT - self.registers["POS"]
         if not is_on or wanted <= 0:
@@ -153,8 +127,3 @@ class SimulatedVacuumGripper(StrictAttributes):
             self._vacuum = min(self._vacuum + _RATE * seconds, vacuum)
             if self._vacuum >= minimum:
                 self._result = _AT_REQUEST if self._vacuum >= vacuum else _AT_MINIMUM
-
-
-def _is_value(name: str, value: str) -> bool:
-    most = VACUUM_WRITABLE.get(name, -1)
-    return value.isdecimal() and len(value) < 4 and int(value) <= most
