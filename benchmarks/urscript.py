@@ -24,11 +24,11 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 
 from urlink.arm.kinematics import Arm
-from urlink.motion.links.messages import STOP_MESSAGE, dated, setpoint
 from urlink.protocol.enums import ProgramState
 from urlink.protocol.firmware import Firmware
 from urlink.script import commands, waypoints, wrapping
 from urlink.script.links import ReverseSocket
+from urlink.script.messages import STOP_MESSAGE, dated, setpoint
 from urlink.script.streaming import streaming as streaming_program
 from urlink.simulator import Controller, Still
 from urlink.simulator.urscript import compile_script

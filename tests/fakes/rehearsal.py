@@ -20,7 +20,6 @@ from tests.waiting import until
 from urlink.arm.kinematics import Arm
 from urlink.arm.vectors import FloatArray
 from urlink.motion.context import MotionContext
-from urlink.motion.links.messages import MESSAGE_SIZE
 from urlink.motion.links.register_link import (
     POINT_INPUTS,
     SETPOINT_INPUTS,
@@ -34,6 +33,7 @@ from urlink.motion.servo.force_control import Freedrive
 from urlink.protocol.enums import RobotMode, RobotModeCB2, SafetyMode
 from urlink.protocol.realtime.packets import RealtimeState
 from urlink.robot import Robot
+from urlink.script.messages import MESSAGE_SIZE
 from urlink.script.wrapping import finish_marker, start_marker
 
 _ARM = Arm("UR5e")

@@ -24,7 +24,6 @@ from linkcore.streaming.connection import Connection
 from linkcore.streaming.fanout import FanOut
 from urlink.command.channel import CommandChannel
 from urlink.command.programs import Programs
-from urlink.motion.links.messages import MESSAGE_SIZE, STOP_MESSAGE, WAIT_MESSAGE
 from urlink.motion.links.register_link import RegisterLink
 from urlink.motion.links.reverse import ReverseLink
 from urlink.motion.servo.linked_program import LinkedProgram
@@ -33,6 +32,7 @@ from urlink.protocol.realtime.packets import RealtimeState
 from urlink.robot import Robot
 from urlink.rtde import Rtde
 from urlink.script import wrapping
+from urlink.script.messages import MESSAGE_SIZE, STOP_MESSAGE, WAIT_MESSAGE
 from urlink.script.wrapping import Wrapped
 from urlink.simulator import Controller
 from urlink.simulator.interfaces.interface import ScriptReceiver

@@ -11,7 +11,6 @@ read, and smaller than the values in simulated stops.
 from __future__ import annotations
 
 import itertools
-import struct
 import warnings
 from collections.abc import Callable, Sequence
 from functools import cached_property
@@ -28,7 +27,8 @@ from ..arm.models import MODELS, Model
 from ..arm.motors import motors_of
 from ..arm.vectors import JOINTS, FloatArray
 from ..protocol.enums import SafetyMode
-from ..script.links import SCALE
+from ..script.links import STOP, WAIT
+from ..script.messages import MESSAGE_SIZE, read_message
 from ..stop_explanation import StopCause, StopCurves, StopExplanation
 from .codes import Code, code_of
 from .stop_record import Key, Report, StopMoment, StopRecord
@@ -66,7 +66,6 @@ _SHOULDER, _CLEAR_SHOULDER = 0.1, 0.02
 _SUDDEN, _CLEARLY_SUDDEN = 1.5, 4.0
 #: Maximum joint speeds in rad/s if the model is unknown: those of most e-Series arms.
 _SPEEDS = np.full(6, np.pi)
-_SETPOINT = struct.Struct(">13i")
 #: Beginning of the text with which urlink permits a program to start.
 _PERMISSION = b"sec urlink_permission"
 #: Time in which the start of one program and the end of another belong together, in s.
@@ -286,10 +285,10 @@ def _was_stopped_here(record: StopRecord, end: Key) -> bool:
         for each in record.sent
         if each.channel in ("primary", "dashboard", "interpreter")
     ) or any(
-        # A message without a set-point ends a program that follows set-points.
-        end.time - 1.0 <= each.time <= end.time + 0.05 and each.data[48:52] == b"\0\0\0\0"
+        # This message ends a program that follows set-points.
+        end.time - 1.0 <= each.time <= end.time + 0.05 and message[1] == STOP
         for each in record.sent
-        if each.channel == "program" and len(each.data) >= 52
+        if (message := _message(each)) is not None
     )
 
 
@@ -340,7 +339,7 @@ class _Observed:
 
     @cached_property
     def deviation(self) -> FloatArray | None:
-        """Deviation of the joints from their targets without the normal lag, in rad."""
+        """Deviation of the joints from their targets, in rad."""
         actual, target = self.rows("q_actual"), self.rows("q_target")
         if actual is None or target is None:
             return None
@@ -638,9 +637,10 @@ def _sudden(observed: _Observed) -> list[_Sign]:
 def _sudden_sent(observed: _Observed) -> list[_Sign]:
     """Compare neighbouring set-points that this program sent over the reverse link."""
     points = [
-        (each.time, np.array(_SETPOINT.unpack_from(each.data)[:6]) / SCALE)
+        (each.time, np.array(message[0]))
         for each in observed.near.sent
-        if _is_setpoint(each) and -0.4 <= each.time - observed.at <= 0.02
+        if -0.4 <= each.time - observed.at <= 0.02
+        if (message := _message(each)) is not None and message[1] not in (STOP, WAIT)
     ]
     worst: tuple[float, int, float] | None = None
     for (before, old), (after, new) in itertools.pairwise(points):
@@ -656,8 +656,12 @@ def _sudden_sent(observed: _Observed) -> list[_Sign]:
     return [_Sign("sudden change of target", 0.85, text, text, worst[1], worst[2], limit, "rad")]
 
 
-def _is_setpoint(sent: Sent) -> bool:
-    return sent.channel == "program" and len(sent.data) >= _SETPOINT.size and sent.data[48:52] not in (b"\0" * 4,)
+def _message(sent: Sent) -> tuple[list[float], int] | None:
+    """Return joint positions in rad and the command of a message over the reverse link; None for other bytes."""
+    if sent.channel != "program" or len(sent.data) < MESSAGE_SIZE:
+        return None
+    q, _, command = read_message(sent.data[:MESSAGE_SIZE])
+    return q, command
 
 
 # -- combination -----------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 
-from ...script.links import FOLLOW, SCALE, STOP, WAIT
+from .links import FOLLOW, SCALE, STOP, WAIT
 
 _MESSAGE = struct.Struct(">13i")
 #: Largest date, and largest number of a message in a register. It is the largest signed 32-bit integer, which is

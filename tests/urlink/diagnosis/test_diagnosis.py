@@ -1,6 +1,7 @@
 """Tests of the diagnosis of stops: codes, tables of logs, missing columns, and drawn stops."""
 
 import random
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -10,12 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linkcore.errors import BadRecording
+from linkcore.streaming.flight_record import Sent
 from tests.urlink.command import stops_drawn
 from urlink.diagnosis.codes import code_of, known_codes
 from urlink.diagnosis.stop_causes import explain
 from urlink.diagnosis.stop_record import Report, StopRecord
 from urlink.diagnosis.stop_table import read_table
 from urlink.protocol.enums import SafetyMode
+from urlink.script.messages import WAIT_MESSAGE, dated, setpoint
 
 ROOT = Path(__file__).parents[3]
 
@@ -146,6 +149,21 @@ def test_stop_is_inferred_when_no_column_has_the_safety_mode() -> None:
     (found,) = explain(StopRecord(record.time, columns, model=record.model))
     assert "inferred" in found.kind
     assert found.cause.name == "position deviation"
+
+
+def test_message_that_only_keeps_the_link_is_no_jump() -> None:
+    record = drawn("contact")
+    (at,) = (each.at for each in explain(record))
+    assert at is not None
+    q = record.columns["q_target"][0].tolist()
+    messages = (setpoint(q, [0.0] * 6), WAIT_MESSAGE, setpoint(q, [0.0] * 6))
+    sent = [Sent(at - 0.3 + 0.01 * number, "program", dated(each, number)) for number, each in enumerate(messages)]
+    (found,) = explain(replace(record, sent=sent))
+    assert "sudden change of target" not in [each.name for each in found.causes]
+    far = [each + 1.0 for each in q]
+    sent.append(Sent(at - 0.2, "program", dated(setpoint(far, [0.0] * 6), 3)))
+    (found,) = explain(replace(record, sent=sent))
+    assert "sudden change of target" in [each.name for each in found.causes]
 
 
 # -- tables ------------------------------------------------------------------------------------------------------

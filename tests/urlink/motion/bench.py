@@ -11,7 +11,6 @@ import numpy as np
 from tests.fakes.rehearsal import HOME
 from urlink.arm.kinematics import Arm
 from urlink.arm.models import model
-from urlink.motion.links.messages import MESSAGE_SIZE, WAIT_MESSAGE, dated, read_message
 from urlink.motion.moves.speed_limit import largest_speeds
 from urlink.motion.servo.resampling import ResampledSetpoints, ResampledSource
 from urlink.motion.servo.setpoints import Servoing
@@ -19,6 +18,7 @@ from urlink.protocol.enums import ProgramState
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState
 from urlink.script.links import ReverseSocket
+from urlink.script.messages import MESSAGE_SIZE, WAIT_MESSAGE, dated, read_message
 from urlink.script.wrapping import Permission, program
 from urlink.simulator.registers import RegisterBanks
 from urlink.simulator.robot.generator import MotionGenerator

@@ -16,7 +16,6 @@ from tests.urlink.motion.bench import Bench
 from urlink.arm.kinematics import Arm
 from urlink.arm.models import model
 from urlink.arm.vectors import FloatArray
-from urlink.motion.links.messages import dated
 from urlink.motion.moves.speed_limit import largest_speeds
 from urlink.motion.servo.jerk_limited import joint_limits
 from urlink.motion.stream.stream_feed import StreamFeed
@@ -26,6 +25,7 @@ from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState
 from urlink.script.buffering import MESSAGE, REPORTED, RESTING, buffering
 from urlink.script.links import ReverseSocket
+from urlink.script.messages import dated
 
 __all__ = ["ACCELERATION", "JERK", "Report", "Streamed"]
 

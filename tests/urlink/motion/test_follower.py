@@ -18,7 +18,6 @@ from tests.urlink.motion.bench import PLAYING, Bench
 from urlink.arm.models import Model, model
 from urlink.command.program_time import ControllerTimer, ProgramTimer
 from urlink.errors import ToleranceExceeded
-from urlink.motion.links.messages import MESSAGE_SIZE, setpoint
 from urlink.motion.moves.speed_limit import EARLY, largest_speeds
 from urlink.motion.moves.trajectory import Trajectory
 from urlink.motion.servo.follower import Follower
@@ -27,6 +26,7 @@ from urlink.motion.servo.setpoints import Servoing
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState
 from urlink.script.links import ReverseSocket, missable
+from urlink.script.messages import MESSAGE_SIZE, setpoint
 
 TOKEN = 7
 LOOSE = Tolerances(path=None, goal=0.05, goal_time=5.0, start=0.05)

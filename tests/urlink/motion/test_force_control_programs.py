@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import pytest
 
-from urlink.motion.links.messages import STOP_MESSAGE, WAIT_MESSAGE, read_message
 from urlink.motion.servo.block_motion import KeptMessage
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState
 from urlink.script import force_control, links
 from urlink.script.force_control import Pressing
 from urlink.script.links import FOLLOW, STOP, InputRegisters
+from urlink.script.messages import STOP_MESSAGE, WAIT_MESSAGE, read_message
 from urlink.script.wrapping import program
 from urlink.simulator import Controller, Plane, Still
 

@@ -11,11 +11,11 @@ from tests.fakes.rehearsal import HOME, TIMEOUT, Rehearsal
 from tests.urlink.motion.test_servo import Beside
 from urlink.arm.models import model
 from urlink.errors import ProgramStopped
-from urlink.motion.links.messages import read_message
 from urlink.motion.moves.path import check_joint_positions
 from urlink.motion.servo.impedance import _Messages
 from urlink.protocol.realtime.packets import RealtimeState
 from urlink.script.links import FOLLOW
+from urlink.script.messages import read_message
 from urlink.script.springs import GAINS, POSTURE
 
 READY = [0.0, -1.57, 1.57, -1.57, -1.57, 0.0]

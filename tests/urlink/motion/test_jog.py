@@ -21,13 +21,13 @@ from urlink.arm.models import model
 from urlink.arm.poses import rotvec_to_matrix
 from urlink.errors import ProgramStopped, SafetyStop
 from urlink.motion import Jog
-from urlink.motion.links.messages import STOP_MESSAGE, WAIT_MESSAGE, read_message, setpoint
 from urlink.motion.servo.jog import FULL_SPEED, FrameName, _Holding
 from urlink.motion.servo.linked_program import LinkedProgram
 from urlink.protocol.enums import SafetyMode
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState
 from urlink.script.links import LINK_ENDED, STARVED, ReverseSocket
+from urlink.script.messages import STOP_MESSAGE, WAIT_MESSAGE, read_message, setpoint
 from urlink.script.streaming import jogging
 
 _FIRMWARES = [Firmware.parse(each) for each in ("1.8", "3.1", "3.15", "5.11", "5.25")]

@@ -20,13 +20,13 @@ from tests.fakes.rehearsal import FOLLOW, TIMEOUT, WAIT, Rehearsal
 from tests.waiting import until
 from urlink.command.program_time import Pause
 from urlink.errors import NotRunning, ProgramStopped, SafetyStop, ToleranceExceeded
-from urlink.motion.links.messages import setpoint
 from urlink.motion.servo import linked_program
 from urlink.motion.servo.linked_program import LinkedProgram
 from urlink.motion.servo.setpoints import LinkDialogue
 from urlink.protocol.enums import ProgramState, SafetyMode
 from urlink.protocol.realtime.packets import RealtimeState
 from urlink.script.links import InputRegisters, ReverseSocket
+from urlink.script.messages import setpoint
 
 pytestmark = pytest.mark.simulated_time
 

@@ -15,11 +15,11 @@ from linkcore.errors import ConnectionLost
 from linkcore.simulated import Computer, Simulation, simulated_time
 from tests.fakes.rehearsal import turned
 from tests.urlink.motion.bench import Bench
-from urlink.motion.links.messages import WAIT_MESSAGE, dated, setpoint
 from urlink.protocol.firmware import Firmware
 from urlink.robot import Robot
 from urlink.script.force_control import Pressing, force_mode, freedrive
 from urlink.script.links import LINK_ENDED, STARVED, ReverseSocket
+from urlink.script.messages import WAIT_MESSAGE, dated, setpoint
 from urlink.script.streaming import jogging, streaming
 from urlink.simulator import Controller, Still
 

@@ -18,7 +18,6 @@ from tests.waiting import until
 from urlink.arm.models import model
 from urlink.arm.vectors import FloatArray
 from urlink.errors import ProgramStopped, SafetyStop, ToleranceExceeded
-from urlink.motion.links.messages import dated, setpoint
 from urlink.motion.moves.speed_limit import largest_speeds
 from urlink.motion.moves.trajectory import Trajectory
 from urlink.motion.servo.setpoints import Servoing
@@ -26,6 +25,7 @@ from urlink.protocol.enums import ProgramState
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.primary.robot_state import RobotModeData
 from urlink.script.links import ReverseSocket
+from urlink.script.messages import dated, setpoint
 
 pytestmark = pytest.mark.simulated_time
 

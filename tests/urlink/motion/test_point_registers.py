@@ -14,7 +14,6 @@ from tests.urlink.motion.streamed import Streamed
 from tests.urlink.motion.test_register_link import FIRMWARES, Inputs, write
 from tests.urlink.motion.test_stream import BESIDE, E_SERIES, wave, waves
 from urlink.motion.links import register_link
-from urlink.motion.links.messages import LARGEST
 from urlink.motion.links.register_link import POINT_INPUTS, POINT_OUTPUTS, PointLinks, PointRegisterLink
 from urlink.motion.moves.trajectory import Trajectory
 from urlink.motion.stream import stream_feed
@@ -22,6 +21,7 @@ from urlink.motion.stream.stream_feed import StreamFeed
 from urlink.protocol.firmware import Firmware
 from urlink.script import links
 from urlink.script.buffering import MESSAGE
+from urlink.script.messages import LARGEST
 
 
 class Registered(Streamed):

@@ -8,10 +8,10 @@ import pytest
 from tests.fakes.line import START_PLACE
 from tests.fakes.rehearsal import HOME, turned
 from tests.urlink.motion.bench import Bench
-from urlink.motion.links.messages import STOP_MESSAGE, WAIT_MESSAGE, setpoint
 from urlink.motion.moves.trajectory import Trajectory
 from urlink.protocol.firmware import Firmware
 from urlink.script import commands, links, waypoints
+from urlink.script.messages import STOP_MESSAGE, WAIT_MESSAGE, setpoint
 from urlink.script.streaming import streaming as streaming_program
 from urlink.script.text import number
 from urlink.script.wrapping import Permission, expiry_marker, grant

@@ -13,11 +13,11 @@ from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
 from tests.fakes.rehearsal import HOME, turned
 from tests.urlink.motion.bench import Bench
 from urlink.motion.links import register_link
-from urlink.motion.links.messages import LARGEST, STOP_MESSAGE, WAIT_MESSAGE, dated, setpoint
 from urlink.motion.links.register_link import SETPOINT_INPUTS, RegisterLink, RegisterPort
 from urlink.motion.moves.trajectory import Trajectory
 from urlink.protocol.firmware import Firmware
 from urlink.script import links
+from urlink.script.messages import LARGEST, STOP_MESSAGE, WAIT_MESSAGE, dated, setpoint
 from urlink.script.streaming import streaming
 from urlink.simulator.registers import Bank
 

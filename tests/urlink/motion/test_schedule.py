@@ -20,7 +20,6 @@ from urlink import Circular, Joint, Linear
 from urlink.arm.kinematics import Arm, Unreachable
 from urlink.arm.models import model
 from urlink.arm.poses import compose, invert
-from urlink.motion.links.messages import read_message, setpoint
 from urlink.motion.moves.trajectory import Trajectory
 from urlink.motion.servo.follower import Follower
 from urlink.motion.servo.following import Tolerances
@@ -28,6 +27,7 @@ from urlink.motion.servo.resampling import Schedule
 from urlink.motion.servo.servo_delay import measure
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState
+from urlink.script.messages import read_message, setpoint
 
 pytestmark = pytest.mark.simulated_time
 

@@ -19,7 +19,6 @@ from tests.waiting import until
 from urlink.arm.models import model
 from urlink.errors import ProgramStopped, SafetyStop
 from urlink.motion import Servo, ServoStatistics
-from urlink.motion.links.messages import WAIT_MESSAGE
 from urlink.motion.moves.speed_limit import largest_speeds
 from urlink.motion.moves.trajectory import Trajectory
 from urlink.motion.servo.resampling import ResampledSetpoints
@@ -28,6 +27,7 @@ from urlink.motion.servo.setpoints import Servoing
 from urlink.protocol.enums import SafetyMode
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState
+from urlink.script.messages import WAIT_MESSAGE
 
 pytestmark = pytest.mark.simulated_time
 

@@ -12,7 +12,6 @@ import pytest
 from linkcore.errors import LinkTimeout
 from tests.urlink.motion.bench import PLAYING
 from urlink.arm.models import model
-from urlink.motion.links.messages import STOP_MESSAGE, WAIT_MESSAGE, dated, read_message, setpoint
 from urlink.motion.moves.speed_limit import EARLY, largest_speeds
 from urlink.motion.servo.jerk_limited import TargetFilter, joint_limits
 from urlink.motion.servo.resampling import FilteredTargets, ResampledSetpoints
@@ -20,6 +19,7 @@ from urlink.motion.servo.setpoints import Servoing, SetpointStream
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState
 from urlink.script.links import STOP, WAIT
+from urlink.script.messages import STOP_MESSAGE, WAIT_MESSAGE, dated, read_message, setpoint
 
 UR5E = model("UR5e")
 #: Speed limit of each joint of a UR5e, in rad/s.

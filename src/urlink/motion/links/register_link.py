@@ -23,7 +23,7 @@ from linkcore.threads import alone
 
 from ...script.buffering import MESSAGE, REPORTED, PointRegisters
 from ...script.links import TOKENS, InputRegisters
-from .messages import LARGEST, MESSAGE_SIZE, read_message
+from ...script.messages import LARGEST, MESSAGE_SIZE, read_message
 
 #: Number of the first float register and of the first integer register for set-points. The last twelve float registers
 #: and the last four integer registers are used. So the other registers with numbers of 24 or more remain free for

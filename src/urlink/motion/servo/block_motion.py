@@ -19,8 +19,8 @@ from linkcore.streaming.scheduling import urgent
 
 from ...protocol.realtime.packets import RealtimeState
 from ...script.links import Writer
+from ...script.messages import WAIT_MESSAGE, setpoint
 from ..context import MotionContext
-from ..links.messages import WAIT_MESSAGE, setpoint
 from .linked_program import Link, LinkedProgram
 from .setpoints import LinkDialogue
 

@@ -24,7 +24,7 @@ from collections.abc import Sequence
 from ...command.program_time import ProgramTimer
 from ...errors import ToleranceExceeded
 from ...protocol.realtime.packets import RealtimeState
-from ..links.messages import WAIT_MESSAGE
+from ...script.messages import WAIT_MESSAGE
 from ..moves.trajectory import Trajectory
 from .following import AHEAD, Following, Tolerances
 from .setpoints import Servoing, SetpointStream

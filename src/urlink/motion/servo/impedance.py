@@ -19,10 +19,10 @@ from ...arm.bounds import check_pose
 from ...arm.vectors import FloatArray, Numbers
 from ...protocol.realtime.packets import RealtimeState
 from ...script.links import FOLLOW, Writer
+from ...script.messages import packed
 from ...script.springs import GAINS, POSTURE
 from ..context import MotionContext
 from ..limited import STEP, LimitedArm
-from ..links.messages import packed
 from ..moves.path import check_joint_positions, shown_tcp
 from ..slider import SliderEffect, slider
 from .block_motion import BlockMotion

@@ -15,10 +15,10 @@ from ...arm.bounds import check_speeds
 from ...arm.vectors import FloatArray, Numbers
 from ...protocol.realtime.packets import RealtimeState
 from ...script.links import Writer
+from ...script.messages import WAIT_MESSAGE
 from ...script.streaming import jogging
 from ..context import MotionContext
 from ..limited import LATE
-from ..links.messages import WAIT_MESSAGE
 from ..moves.speed_limit import check_joint_speeds
 from ..slider import SliderEffect, slider
 from .block_motion import BlockMotion, message

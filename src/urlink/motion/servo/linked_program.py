@@ -23,9 +23,9 @@ from ...command.program_time import MOVED, ControllerTimer, Pause, is_paused
 from ...errors import ProgramStopped, ToleranceExceeded
 from ...protocol.realtime.packets import RealtimeState
 from ...script import links
+from ...script.messages import dated
 from ..context import MotionContext
 from ..limited import LimitedArm, is_watched
-from ..links.messages import dated
 from .following import stands
 from .setpoints import LinkDialogue
 

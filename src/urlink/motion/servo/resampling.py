@@ -19,8 +19,8 @@ from linkcore.errors import BadValue
 from ...arm.models import Model
 from ...command.program_time import ProgramTimer
 from ...protocol.realtime.packets import RealtimeState
+from ...script.messages import WAIT_MESSAGE
 from ..limited import LimitedArm, Prediction
-from ..links.messages import WAIT_MESSAGE
 from ..moves.trajectory import Trajectory
 from .following import Rest
 from .jerk_limited import JointLimit, TargetFilter

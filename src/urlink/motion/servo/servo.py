@@ -15,10 +15,10 @@ from linkcore.threads import Newest
 from ...arm.vectors import JOINTS, Numbers
 from ...command.program_time import ProgramTimer, reported_scaling
 from ...protocol.realtime.packets import RealtimeState
+from ...script.messages import WAIT_MESSAGE, setpoint
 from ...script.text import integer
 from ..context import MotionContext
 from ..limited import FIRST_STEP, LimitedArm, check_targets
-from ..links.messages import WAIT_MESSAGE, setpoint
 from ..moves.path import Joint, Linear, Waypoint, check_joint_positions, shown_tcp
 from ..moves.speed_limit import LONGEST_PERIOD, SpeedLimit
 from ..moves.trajectory import LEAP

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from ...protocol.firmware import Firmware
 from ...protocol.realtime.packets import RealtimeState
 from ...script.links import InputRegisters, ReverseSocket, Writer, missable
+from ...script.messages import STOP_MESSAGE, setpoint
 from ...script.streaming import COASTING, streaming
-from ..links.messages import STOP_MESSAGE, setpoint
 from ..moves.speed_limit import SpeedLimit
 
 

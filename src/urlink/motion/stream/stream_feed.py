@@ -40,7 +40,7 @@ from ...script.buffering import (
     PointRegisters,
 )
 from ...script.links import SCALE, STOP, WAIT
-from ..links.messages import LARGEST
+from ...script.messages import LARGEST
 from ..servo.following import Rest
 from ..servo.setpoints import LinkDialogue
 from .common_time import MemberPace
