@@ -20,7 +20,7 @@ from ..arm.vectors import JOINTS, FloatArray
 from ..errors import LimitExceeded
 from ..protocol.realtime.packets import RealtimeState
 from ..session.identity import KnownIdentity
-from ..session.session_limits import MARGIN, WATCHED, SessionLimits
+from ..session.session_limits import MARGIN, SessionLimits
 
 if TYPE_CHECKING:
     from ..arm.kinematics import Arm
@@ -448,11 +448,6 @@ def evenly_timed(length: float, seconds: float) -> tuple[float, float]:
     sent with these values instead of its time, because the shape of a timed move is not published.
     """
     return max(1.5 * length / seconds, 1e-3), max(4.5 * length / seconds**2, 1e-3)
-
-
-def is_watched(kind: str) -> bool:
-    """Whether a kind of motion is watched while it runs, because it cannot be predicted."""
-    return kind in WATCHED
 
 
 def _count(wanted: float, least: int = LEAST_SAMPLES) -> int:

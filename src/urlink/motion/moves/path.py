@@ -32,6 +32,7 @@ from ...arm.vectors import JOINTS, FloatArray, Numbers, six
 from ...errors import LimitExceeded
 from ...protocol.realtime.packets import RealtimeState
 from ...script import commands
+from ..limited import speed_along
 from ..slider import SliderEffect, slider
 
 if TYPE_CHECKING:
@@ -278,7 +279,7 @@ def plan(
         body += [commands.segment(number), *_statement(waypoint, rate)]
     if arm is None:
         return Plan(body, [PathSection(1.0, lambda state: 0.0)] * len(waypoints))
-    planner = _Planner(arm, state, limited)
+    planner = _Planner(arm, shown_tcp(arm, state), np.array(state.q_target), limited)
     before = 0.0
     sections = []
     for number, (waypoint, rate) in enumerate(zip(waypoints, rates, strict=True)):
@@ -315,21 +316,13 @@ def _statement(waypoint: Waypoint, rate: Rates) -> list[str]:
 class _Planner:
     """Planner of a path: plans one segment after another, as if there were no blends."""
 
-    def __init__(self, arm: Arm, state: RealtimeState, limited: LimitedArm | None = None) -> None:
+    def __init__(self, arm: Arm, tcp: FloatArray, q: FloatArray, limited: LimitedArm | None) -> None:
         self._arm = arm
-        self._tcp = shown_tcp(arm, state)
-        self._q: FloatArray = np.array(state.q_target)
+        self._tcp = tcp
+        self._q = q
         self._limited = limited
         #: positions of the joints in the blend zone before the next corner, (n, 6) rad
         self._zone: FloatArray = np.zeros((0, 6))
-
-    @classmethod
-    def at(cls, limited: LimitedArm) -> _Planner:
-        """Return a planner that begins at the position of an arm with limits."""
-        planner = cls.__new__(cls)
-        planner._arm, planner._tcp, planner._q = limited.arm, limited.tcp, limited.q
-        planner._limited, planner._zone = limited, np.zeros((0, 6))
-        return planner
 
     def section(self, waypoint: Waypoint, rate: Rates, blend: float) -> PathSection:
         """Plan the segment to a waypoint, after a segment that ends with a blend of `blend` m."""
@@ -348,9 +341,13 @@ class _Planner:
         places = self._arm.forward(np.stack([start, waypoint.q]), self._tcp)
         _check_blends(blend, waypoint.blend, math.dist(places[0, :3].tolist(), places[1, :3].tolist()))
         if self._limited is not None:
-            is_fast = blend > 0.0, waypoint.blend > 0.0
             self._limited.check_joint_way(
-                waypoint.q, *(rate.speed, rate.acceleration), starts_fast=is_fast[0], ends_fast=is_fast[1], start=start
+                waypoint.q,
+                rate.speed,
+                rate.acceleration,
+                starts_fast=blend > 0.0,
+                ends_fast=waypoint.blend > 0.0,
+                start=start,
             )
             parts = np.linspace(0.0, 1.0, _IN_LIMITS)[:, np.newaxis]
             self._check_corner(start + parts * way, blend, waypoint.blend)
@@ -373,7 +370,7 @@ class _Planner:
             assert isinstance(waypoint, Circular)
             curve = Arc(start, waypoint.via.tolist(), waypoint.to.tolist())
         _check_blends(blend, waypoint.blend, curve.length)
-        self._q = self._follow(curve, rate, blend > 0.0, waypoint.blend > 0.0, blend, waypoint.blend)
+        self._q = self._follow(curve, rate, blend, waypoint.blend)
         return PathSection(rate.seconds(_counted(curve)), lambda state: curve.part(state.tool_vector_actual.tolist()))
 
     def _check_corner(self, rows: FloatArray, before: float, after: float) -> None:
@@ -396,8 +393,6 @@ class _Planner:
         limited: LimitedArm, curve: Curve, rows: FloatArray, rate: Rates, starts_fast: bool, ends_fast: bool
     ) -> None:
         """Compare the motion along a curve with the limits of the session."""
-        from ..limited import speed_along
-
         way, steps = _counted(curve), len(rows) - 1
         if way == 0.0:
             return
@@ -408,10 +403,13 @@ class _Planner:
         middles = np.maximum(speeds[1:], speeds[:-1])[:, np.newaxis]
         limited.limits.check_joint_speeds(np.diff(rows, axis=0) * (steps / way) * middles)
 
-    def _follow(
-        self, curve: Curve, rate: Rates, is_fast_at_start: bool, is_fast_at_end: bool, before: float, after: float
-    ) -> FloatArray:
+    def _follow(self, curve: Curve, rate: Rates, before: float, after: float) -> FloatArray:
         """Check that the arm can follow the curve, and return the joint positions at its end.
+
+        Args:
+            curve: Path of the tool.
+            rate: Speed and acceleration of the tool.
+            before, after: Radii of the blends at both ends, in m.
 
         Raises:
             Unreachable: If the curve is out of reach.
@@ -446,10 +444,10 @@ class _Planner:
             )
         if curve.length > _IN_PLACE:
             way = _counted(curve)
-            speed = _speed_along(way, rate, steps, is_fast_at_start, is_fast_at_end)
+            speed = _speed_along(way, rate, steps, before > 0.0, after > 0.0)
             self._check_speeds(turns * (steps / way) * speed, parts)
         if self._limited is not None:
-            self._check_limits(self._limited, curve, rows, rate, is_fast_at_start, is_fast_at_end)
+            self._check_limits(self._limited, curve, rows, rate, before > 0.0, after > 0.0)
             self._check_corner(rows, before, after)
         end: FloatArray = rows[-1]
         return end
@@ -488,7 +486,7 @@ def check_tool_way(waypoint: Linear | Circular, rates: Rates, limited: LimitedAr
         LimitExceeded: If the motion exceeds a limit.
         BadValue: If the arm cannot follow the path.
     """
-    _Planner.at(limited).section(waypoint, rates, 0.0)
+    _Planner(limited.arm, limited.tcp, limited.q, limited).section(waypoint, rates, 0.0)
 
 
 def _thinned(rows: FloatArray) -> FloatArray:
@@ -502,17 +500,10 @@ def _counted(curve: Curve) -> float:
 
 
 def _speed_along(length: float, rate: Rates, steps: int, is_fast_at_start: bool, is_fast_at_end: bool) -> FloatArray:
-    """Return the speed of the tool in the middle of each step, (steps, 1) in m/s.
-
-    The tool is at rest at the beginning and at the end, except if there is a blend.
-    """
-    way = (np.arange(steps) + 0.5) * (length / steps)
-    speed = np.full(steps, rate.speed)
-    if not is_fast_at_start:
-        speed = np.minimum(speed, np.sqrt(2.0 * rate.acceleration * way))
-    if not is_fast_at_end:
-        speed = np.minimum(speed, np.sqrt(2.0 * rate.acceleration * (length - way)))
-    return speed[:, np.newaxis]
+    """Return the speed of the tool in the middle of each step, (steps, 1) in m/s."""
+    middles = (np.arange(steps) + 0.5) / steps
+    speeds = speed_along(middles, length, rate.speed, rate.acceleration, is_fast_at_start, is_fast_at_end)
+    return speeds[:, np.newaxis]
 
 
 def _check_blends(before: float, after: float, length: float) -> None:

@@ -24,8 +24,9 @@ from ...errors import ProgramStopped, ToleranceExceeded
 from ...protocol.realtime.packets import RealtimeState
 from ...script import links
 from ...script.messages import dated
+from ...session.session_limits import WATCHED
 from ..context import MotionContext
-from ..limited import LimitedArm, is_watched
+from ..limited import LimitedArm
 from .following import stands
 from .setpoints import LinkDialogue
 
@@ -130,7 +131,7 @@ class LinkedProgram:
         life.brake = self._brake
         try:
             context.channel.check()
-            if is_watched(life.name):
+            if life.name in WATCHED:
                 self._watched = context.limited_at_rest()
             self._link = link = self._open_link()
             on_state = partial(self._on_state, link, self._clock())
