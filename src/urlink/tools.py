@@ -44,6 +44,7 @@ from linkcore.recording.file import (
 )
 from linkcore.recording.mcap_file import McapFile as McapFile, Topic as Topic
 from linkcore.recording.packets import states_of as states_of
+from linkcore.recording.text_table import read_text_table as read_text_table
 from linkcore.streaming.peer_clock import lowest_edge as lowest_edge
 from linkcore.text import printable as printable, similar as similar, strict_json as strict_json
 from linkcore.threads import Closing as Closing, ReentrantEvent as ReentrantEvent, started as started

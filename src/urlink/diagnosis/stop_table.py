@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import gzip
 import os
 import re
 from pathlib import Path
@@ -11,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from linkcore.errors import BadRecording
+from linkcore.recording.text_table import read_text_table
 
 from ..arm.models import Model
 from ..arm.vectors import FloatArray
@@ -42,20 +41,10 @@ def read_table(path: str | os.PathLike[str], model: Model | None = None) -> Stop
         BadRecording: If the file cannot be read, or is not such a table.
     """
     path = Path(path)
-    try:
-        data = path.read_bytes()
-        text = (gzip.decompress(data) if path.suffix.lower() == ".gz" else data).decode("utf-8-sig")
-    except OSError as error:
-        raise BadRecording(f"cannot read {path}: {error.strerror or error}") from error
-    except (EOFError, UnicodeDecodeError) as error:
-        raise BadRecording(f"{path} is not a table of numbers below one line of names: {error}") from error
-    lines = [line for line in text.splitlines() if line.strip()]
-    if len(lines) < 2:
+    names, rows = read_text_table(path)
+    if not rows:
         raise BadRecording(f"{path} has no rows; expected one line of names and rows of numbers")
-    separator = next((each for each in ",;\t" if each in lines[0]), None)
-    rows = [line.split() for line in lines] if separator is None else list(csv.reader(lines, delimiter=separator))
-    names = [name.strip().lstrip("#").strip() for name in rows[0]]
-    cells = np.array([_numbers(row, len(names), separator == ";") for row in rows[1:]])
+    cells = np.array([_numbers(row, len(names)) for row in rows])
     columns = _grouped(names, cells)
     record = StopRecord(np.empty(0), columns, model=model)
     time = next((columns[name] for name in _TIMES if name in columns and columns[name].ndim == 1), None)
@@ -66,11 +55,11 @@ def read_table(path: str | os.PathLike[str], model: Model | None = None) -> Stop
     return record
 
 
-def _numbers(row: list[str], count: int, has_decimal_commas: bool) -> list[float]:
+def _numbers(row: list[str], count: int) -> list[float]:
     found = []
     for cell in row[:count]:
         try:
-            found.append(float(cell.replace(",", ".") if has_decimal_commas else cell))
+            found.append(float(cell))
         except ValueError:
             found.append(float({"true": 1.0, "false": 0.0}.get(cell.strip().lower(), "nan")))
     return found + [float("nan")] * (count - len(found))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import gzip
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -13,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from urlink import BadRecording, BadValue, load
-from urlink.tools import FloatArray, Progress
+from urlink.tools import FloatArray, Progress, read_text_table
 
 from .differentiation import averaged, averaged_acceleration, averaged_speed
 
@@ -285,28 +283,12 @@ def _columns_named(name: str, groups: Mapping[str, FloatArray], singles: Mapping
 
 
 def _cells(path: Path) -> tuple[list[str], list[list[str]]]:
-    """Return the names and the rows of a table."""
-    try:
-        packed = path.suffix.lower() == ".gz"
-        text = (gzip.decompress(path.read_bytes()) if packed else path.read_bytes()).decode("utf-8-sig")
-    except OSError as error:
-        raise BadRecording(f"{path}: {error.strerror or error}") from None
-    except (EOFError, UnicodeDecodeError) as error:
-        raise BadRecording(f"{path} is not a table of numbers below one line of names ({error})") from None
-    lines = [line for line in text.splitlines() if line.strip()]
-    if not lines:
-        raise BadRecording(f"{path} is empty; expected one line of names and rows of numbers")
-    separator = next((each for each in ",;\t" if each in lines[0]), None)
-    if separator is None:
-        head, *rows = [line.split() for line in lines]
-    else:
-        head, *rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=separator)]
-    if separator == ";":
-        rows = [[cell.replace(",", ".") for cell in row] for row in rows]
+    """Return the names and the rows of a table, in which each row has a cell for each name."""
+    head, rows = read_text_table(path)
     for number, row in enumerate(rows, 2):
         if len(row) != len(head):
             raise BadRecording(f"{path}: row {number} has {len(row)} cells; expected {len(head)}, one for each name")
-    return [name.lstrip("#").strip() for name in head], rows
+    return head, rows
 
 
 def _columns(head: Sequence[str], rows: Sequence[Sequence[str]]) -> dict[str, FloatArray]:
