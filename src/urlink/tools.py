@@ -66,6 +66,7 @@ from .arm.motors import (
     joint_sizes as joint_sizes,
     motors_of as motors_of,
 )
+from .arm.payload import cross_matrices as cross_matrices
 from .arm.parameters import Parameter as Parameter, number as number, numbers as numbers, parameters as parameters
 from .arm.rigid import FLOATS as FLOATS, ROWS as ROWS
 from .arm.vectors import JOINTS as JOINTS, FloatArray as FloatArray, six as six

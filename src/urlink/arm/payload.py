@@ -209,7 +209,7 @@ def fit_sensor(
     own = np.tile(np.eye(3), (len(rests), 1, 1))
     drift = own * late[:, np.newaxis, np.newaxis]
     forces = _Fit(np.concatenate((own, drift, down[:, :, np.newaxis], before[:, :, np.newaxis]), axis=2), force)
-    moments = _Fit(np.concatenate((own, drift, -_cross(down), -_cross(before)), axis=2), torque)
+    moments = _Fit(np.concatenate((own, drift, -cross_matrices(down), -cross_matrices(before)), axis=2), torque)
     of_mass = np.zeros((1, 8))
     of_mass[0, 6:] = 1.0
     of_moment = np.hstack((np.zeros((3, 6)), np.eye(3), np.eye(3)))
@@ -370,7 +370,7 @@ def _student(free: int) -> float:
     return float(np.interp(1.0 / free, 1.0 / _FREE[::-1], _STUDENT[::-1]))
 
 
-def _cross(vectors: FloatArray) -> FloatArray:
+def cross_matrices(vectors: FloatArray) -> FloatArray:
     """Return the matrices of the cross products with vectors, shape (n, 3, 3)."""
     x, y, z = vectors.T
     zero = np.zeros_like(x)

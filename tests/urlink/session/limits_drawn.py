@@ -23,7 +23,9 @@ from typing import Any
 import numpy as np
 
 import urlink
+from linkcore import clock
 from linkcore.errors import LinkError
+from linkcore.handle import Motion
 from urlink import Circular, Joint, LimitExceeded, Linear, SessionLimits, Trajectory, TrajectoryPoint
 from urlink.arm.kinematics import Arm
 from urlink.arm.vectors import FloatArray
@@ -174,10 +176,10 @@ class Bench:
     def unlock(self) -> None:
         """End a protective stop."""
         self.free.realtime.wait_until(lambda state: True)
-        urlink_clock_sleep(6.0)
+        clock.sleep(6.0)
         with contextlib.suppress(LinkError):
             self.free.dashboard.unlock_protective_stop()
-        urlink_clock_sleep(1.0)
+        clock.sleep(1.0)
 
     def seen(self, error: str) -> Seen:
         """Return what the arm did since the command began."""
@@ -227,13 +229,6 @@ class Bench:
         return np.asarray(size * vector / np.linalg.norm(vector))
 
 
-def urlink_clock_sleep(seconds: float) -> None:
-    """Sleep on the simulated clock."""
-    from linkcore import clock
-
-    clock.sleep(seconds)
-
-
 # -- kinds -------------------------------------------------------------------------------------------------
 
 
@@ -277,29 +272,23 @@ def speed_joints(bench: Bench) -> Command:
     qd = bench.rng.normal(size=6) * bench.log(0.03, 0.6)
     duration, acceleration = bench.log(0.1, 1.5), bench.log(0.5, 4.0)
 
-    def command(on: Bench) -> None:
-        motion = on.motion.speed_joints(qd, acceleration, duration=duration)
-        if duration <= 0.5:
-            # The next call continues the motion before the first speed has expired.
-            urlink_clock_sleep(0.5 * duration)
-            motion = on.motion.speed_joints(qd, acceleration, duration=duration)
-        motion.wait(TIMEOUT)
-
-    return command
+    return lambda on: _continued(lambda: on.motion.speed_joints(qd, acceleration, duration=duration), duration)
 
 
 def speed_linear(bench: Bench) -> Command:
     xd = np.concatenate([bench.way(bench.log(0.02, 0.4)), bench.rng.normal(size=3) * 0.1])
     duration, acceleration = bench.log(0.1, 1.5), bench.log(0.3, 3.0)
 
-    def command(on: Bench) -> None:
-        motion = on.motion.speed_linear(xd, acceleration, duration=duration)
-        if duration <= 0.5:
-            urlink_clock_sleep(0.5 * duration)
-            motion = on.motion.speed_linear(xd, acceleration, duration=duration)
-        motion.wait(TIMEOUT)
+    return lambda on: _continued(lambda: on.motion.speed_linear(xd, acceleration, duration=duration), duration)
 
-    return command
+
+def _continued(start: Callable[[], Motion], duration: float) -> None:
+    """Start a motion at one speed. Start it again before a short speed has expired."""
+    motion = start()
+    if duration <= 0.5:
+        clock.sleep(0.5 * duration)
+        motion = start()
+    motion.wait(TIMEOUT)
 
 
 def _trajectory(bench: Bench, start: FloatArray) -> Trajectory:
@@ -328,7 +317,7 @@ def servo(bench: Bench) -> Command:
             ) as loop:
                 for target in targets:
                     if target is not targets[0]:
-                        urlink_clock_sleep(pause)
+                        clock.sleep(pause)
                     loop.send(target)
                 on.robot.realtime.wait_until(
                     lambda state: bool(np.abs(state.q_target - targets[-1]).max() < 1e-4), TIMEOUT
@@ -388,7 +377,7 @@ def jog(bench: Bench) -> Command:
         with on.motion.jog(str(frame), timeout=timeout) as handle:
             for speeds, pause in moves:
                 handle.move(speeds)
-                urlink_clock_sleep(pause)
+                clock.sleep(pause)
 
     return command
 

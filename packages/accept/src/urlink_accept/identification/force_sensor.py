@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from urlink.arm.poses import rotvec_to_matrix
-from urlink.tools import GRAVITY, Estimate, FloatArray
+from urlink.tools import GRAVITY, Estimate, FloatArray, cross_matrices
 
 from .intervals import Fit, fit
 from .samples import Samples
@@ -41,7 +41,7 @@ def force_offset(samples: Samples) -> dict[str, Sequence[Estimate]]:
     # Unknown: three forces that turn with the tool, and a mass. The blocks are the rests.
     forces = _fit(np.concatenate((turns, down[:, :, np.newaxis]), axis=2), wrench[:, :3])
     # The centre of the unknown mass turns with the tool: its torque is (R s) x g, with s = mass times distance.
-    torques = _fit(np.concatenate((turns, -_cross(down) @ turns), axis=2), wrench[:, 3:])
+    torques = _fit(np.concatenate((turns, -cross_matrices(down) @ turns), axis=2), wrench[:, 3:])
     mass = forces.estimate(3)
     if not mass.is_known or mass.high - mass.low > _MASS:
         mass = Estimate.unknown("rests with the tool in different directions; the offset assumes that it is 0")
@@ -53,10 +53,3 @@ def force_offset(samples: Samples) -> dict[str, Sequence[Estimate]]:
 def _fit(columns: FloatArray, wrench: FloatArray) -> Fit:
     """Fit three components of each rest; columns have the shape (n, 3, k)."""
     return fit(columns.reshape(-1, columns.shape[2]), wrench.ravel(), np.repeat(np.arange(len(wrench)), 3))
-
-
-def _cross(vectors: FloatArray) -> FloatArray:
-    """Return the matrices of the cross products with vectors, shape (n, 3, 3)."""
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    return np.moveaxis(np.array(((zero, -z, y), (z, zero, -x), (-y, x, zero))), 2, 0)
