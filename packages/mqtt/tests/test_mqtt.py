@@ -237,7 +237,9 @@ def test_status_reports_when_server_ends(broker: int, panels: Panels, urlink_con
 
 
 @needs_broker
-def test_broker_loss_stops_arm_and_server_reconnects(tmp_path: Path, urlink_robot: urlink.Robot) -> None:
+def test_broker_loss_stops_arm_and_server_reconnects(
+    tmp_path: Path, urlink_robot: urlink.Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with socket.create_server(("127.0.0.1", 0)) as probe:
         port: int = probe.getsockname()[1]
     config = tmp_path / "mosquitto.conf"
@@ -263,12 +265,34 @@ def test_broker_loss_stops_arm_and_server_reconnects(tmp_path: Path, urlink_robo
             until(lambda: urlink_robot.realtime.wait().qd_target.any())
         until(lambda: not urlink_robot.realtime.wait().qd_target.any())
         panel.close()
+        steps = steps_of(server, monkeypatch)
         with mosquitto():
             again = Panel(port)
             until(lambda: again.status.get("served"), 60.0)
             assert again.ask("cancel")["error"] is None
+            # A command that is sent after the first status must not be lost.
+            assert steps.index("subscribed") < steps.index("status")
             again.close()
             server.close()
+
+
+def steps_of(server: Server, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Return a list to which the topics that the server publishes are added, and its subscriptions."""
+    steps: list[str] = []
+    put, subscribed = server._put, server._client.on_subscribe
+    assert subscribed is not None
+
+    def on_subscribe(*arguments: Any) -> None:
+        steps.append("subscribed")
+        subscribed(*arguments)
+
+    def recorded(topic: str, *arguments: Any, **options: Any) -> Any:
+        steps.append(topic)
+        return put(topic, *arguments, **options)
+
+    monkeypatch.setattr(server, "_put", recorded)
+    monkeypatch.setattr(server._client, "on_subscribe", on_subscribe)
+    return steps
 
 
 def _answers(port: int) -> bool:

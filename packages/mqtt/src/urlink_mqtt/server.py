@@ -107,6 +107,8 @@ class Server:
         self._executed: dict[tuple[str, bytes], float] = {}
         self._ended = threading.Event()
         self._answered = threading.Event()
+        # Set while the broker passes commands on to this server.
+        self._hears = threading.Event()
         self._refused = f"no answer within {_SOON:g} s"
         # A separate lane for stops, so that a stop never waits for another command.
         self._stops, self._others = (ThreadPoolExecutor(1, f"{name} {lane}") for lane in ("stops", "commands"))
@@ -115,6 +117,7 @@ class Server:
         self._client.max_queued_messages_set(_QUEUED)
         self._client.reconnect_delay_set(1, 5)
         self._client.on_connect = self._connected
+        self._client.on_subscribe = self._subscribed
         self._client.on_disconnect = self._disconnected
         self._client.on_message = self._heard
         self._client.will_set(f"{self.topic}/status", json.dumps({"served": False}), qos=1, retain=True)
@@ -171,6 +174,9 @@ class Server:
 
     def _tell(self, period: float) -> None:
         while not clock.wait(self._ended.wait, period):
+            # A client that sees the status may send a command at once, which the broker must not lose.
+            if not self._hears.is_set():
+                continue
             try:
                 # A status that cannot be sent now is not worth sending later.
                 self._put("status", self._status(), qos=0, retain=True)
@@ -216,7 +222,11 @@ class Server:
             )
         self._answered.set()
 
+    def _subscribed(self, client: Client, data: Any, number: Any, reasons: Any, properties: Any) -> None:
+        self._hears.set()
+
     def _disconnected(self, client: Client, data: Any, flags: Any, reason: Any, properties: Any) -> None:
+        self._hears.clear()
         self._present.clear()
         with contextlib.suppress(RuntimeError):  # the server is closed
             self._abandon(list(self._requested))
