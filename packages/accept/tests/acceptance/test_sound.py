@@ -129,6 +129,14 @@ def test_lag_measured_from_half_the_states_is_no_contradiction(each: int) -> Non
     assert (found.state, len(found.contradicts)) == (("not tried", 0) if each == 2 else ("held", 1))
 
 
+@pytest.mark.parametrize(("lag", "count"), [(0.019, 1), (0.029, 0), (0.0367, 0), (0.045, 1)])
+def test_lag_contradicts_only_beyond_cycles_and_gain(lag: float, count: int) -> None:
+    notes = [Note(0.0, "stage", {"number": 2}), Note(0.1, "servo-lag", {"event": "begin"})]
+    notes.append(Note(1.9, "servo-lag", {"event": "end", "lag": lag, "lookahead": 0.03}))
+    (found,) = judge(evidence(np.zeros((1000, 6)), notes), {"servo-lag": requirements()["servo-lag"]})
+    assert (found.state, len(found.contradicts)) == ("held", count)
+
+
 @pytest.mark.parametrize(("last", "state"), [(0.5, "not tried"), (0.66, "not held")])
 def test_stream_without_set_points_is_not_judged(last: float, state: str) -> None:
     error = "ConnectionLost: no message reached the program on the robot in time; it brakes on its own"

@@ -20,6 +20,8 @@ from .swings import contradictions
 
 #: Speed in rad/s below which the wrist is at rest.
 _STANDS = 2e-3
+#: Largest part of the lag, in s, that the gain of the step (300) can cause: 2 / gain, as the simulator assumes.
+_OF_GAIN = 2.0 / 300.0
 #: Time in s without a packet or a set-point after which a stream may have starved. The value is half of the default
 #: watchdog of a stream, because delays add up.
 _STARVING = 0.05
@@ -175,10 +177,11 @@ def _lag(evidence: Evidence) -> Measured:
         return Measured(math.inf, moved.error)
     lag = float(moved.said["lag"])
     assumed = parameters()["servoj_lag_of_lookahead", ""]
-    cycles = 2.0 / (evidence.firmware.rate if evidence.firmware is not None else 500)
-    share = (lag - cycles) / moved.said["lookahead"]
-    seen = f"{lag * 1e3:.1f} ms: two cycles and {share:.2f} of the look-ahead time"
-    refuted = contradictions([(assumed, Estimate(share, share, share))])
+    cycle, lookahead = 1.0 / (evidence.firmware.rate if evidence.firmware is not None else 500), moved.said["lookahead"]
+    # A set-point takes effect one or two cycles after it was sent. The gain adds a part that is not published.
+    low, high = (lag - 2.0 * cycle - _OF_GAIN) / lookahead, (lag - cycle) / lookahead
+    seen = f"{lag * 1e3:.1f} ms: {low:.2f} to {high:.2f} of the look-ahead time, the rest for cycles and the gain"
+    refuted = contradictions([(assumed, Estimate(0.5 * (low + high), low, high))])
     if refuted and moved.answered < 0.9:
         raise NotTried(f"{moved.answered:.0%} of the states were answered: {seen}")
     return Measured(lag, seen, refuted)
