@@ -41,6 +41,8 @@ def drawn(seed: int, rate: int) -> tuple[dict[str, list[float]], Samples]:
     columns = dict(whole)
     for name in ("target_moment", "target_current"):
         columns[name] = columns[name] + NOISE * rng.standard_normal(columns[name].shape)
+    # The error of a current is the difference between the actual and the target current, so it contains this noise too.
+    values["current_noise"] = [float(np.hypot(each, NOISE)) for each in values["current_noise"]]
     drift = float(rng.uniform(-DRIFT, DRIFT))
     times = columns["timestamp"]
     arrival = times / (1.0 + drift) + rng.exponential(LATE, len(times))
