@@ -128,7 +128,7 @@ def test_connection_that_is_already_down_counts_as_lost(desk: Monitored) -> None
 def test_failed_subscription_leaves_no_subscribers(desk: Monitored, fails_at: int) -> None:
     subscribe, tries = desk.realtime.subscribe_inline, iter(range(1, 100))
 
-    def refuse(kind: type, callback: Callable[[Any], object]) -> Subscriber:
+    def refuse(kind: type, callback: Callable[[Any], object], **options: object) -> Subscriber:
         if next(tries) < fails_at:
             return subscribe(kind, callback)
         desk.event(desk.realtime, ConnectionState.LOST, ConnectFailed("refused"))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import accumulate, repeat
 from typing import TYPE_CHECKING
 
 from linkcore.errors import BadValue
@@ -154,6 +155,27 @@ class SimulatedArm:
             self._count_rests(())
         self._sample = None
         self.force_sensor.advance(self._setpoint, self._tcp, self.payload, self.payload_cog, seconds)
+
+    @property
+    def is_unchanging(self) -> bool:
+        """Whether nothing but the time changes while the set-points stay the same."""
+        return (
+            not (self._moving or self.is_moving or self.drags or any(self._setpoint.qdd) or any(self.deviation))
+            and self._transition is None
+            and not self.uses_external_force
+            and self.force_sensor.is_unchanging
+        )
+
+    def rest(self, cycles: int, seconds: float) -> list[float]:
+        """Advance by some cycles in which the arm is at rest, and nothing changes; see `is_unchanging`.
+
+        Return the time since the arm was switched on, in s, at the beginning and after each cycle.
+        """
+        times = list(accumulate(repeat(seconds, cycles), initial=self._time))
+        self._time = times[-1]
+        self._progress.cycle += cycles
+        self._sample = None
+        return times
 
     def _count_rests(self, moving: tuple[bool, ...]) -> None:
         """Begin a rest of the joints that no longer move; `moving` is empty if no joint moves."""

@@ -172,6 +172,29 @@ class Sample:
         measure(self.sensors, self)
         return object.__getattribute__(self, name)
 
+    def later(self, cycles: int, time: float) -> Sample:
+        """Return the sample after some more cycles in which the arm is at rest, and nothing else changes.
+
+        Args:
+            cycles: Number of cycles.
+            time: Time since the arm was switched on, in s.
+        """
+        progress = self.progress.copy()
+        progress.cycle += cycles
+        return Sample(
+            self.sensors,
+            self.setpoint,
+            self.tcp,
+            self.dynamics,
+            self.external,
+            self.wrench,
+            self.zeroed,
+            progress,
+            time,
+            self.is_powered,
+            self.deviation,
+        )
+
     @property
     def is_moving(self) -> bool:
         """Whether the targets move."""
