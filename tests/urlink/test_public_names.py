@@ -147,8 +147,8 @@ HANDLE = "add_done_callback cancel done error name phase wait"
 #: Attributes and methods of the objects that users hold, as tab completion shows them.
 SURFACES = {
     "robot": """address clock close controller dashboard firmware freedrive gripper identity interpreter io kinematics
-        measure_payload measure_payload_by_hand model motion points popup primary realtime record registers rtde safety
-        script secondary set_gravity set_payload set_speed_slider set_tcp teach tool_serial view wrench
+        limits measure_payload measure_payload_by_hand model motion points popup primary realtime record registers rtde
+        safety script secondary set_gravity set_payload set_speed_slider set_tcp teach tool_serial view wrench
         zero_force_sensor""",
     "robot.tool_serial": "ask close discard read write",
     "robot.gripper": """activate close deactivate get move object_detected open position position_of set status stop
