@@ -247,7 +247,9 @@ class RobotCommands:
             _give_up(call)
             with anyio.move_on_after(_BRAKING):
                 await ended.wait()
-            raise LinkTimeout(f"the motion did not end within {self._motion_time:g} s, so it was stopped")
+            raise LinkTimeout(
+                f"the motion did not end within {self._motion_time:g} s; it was cancelled, and the arm brakes"
+            )
         if motion.error is not None:
             raise motion.error
 

@@ -52,7 +52,8 @@ class RequestLog:
         self._lock = threading.Lock()
         self._failure: str | None = None
         try:
-            self._file = None if path is None else open(path, "a", encoding="utf-8")  # noqa: SIM115
+            # Without a buffer, so that a full disk is noticed at once, and not again when the file is closed.
+            self._file = None if path is None else open(path, "ab", buffering=0)  # noqa: SIM115
         except OSError as error:
             raise BadValue(f"cannot write the log {os.fspath(path or '')}: {error.strerror or error}") from None
 
@@ -85,8 +86,9 @@ class RequestLog:
             if self._file is None:
                 return
             try:
-                self._file.write(strict_json(row) + "\n")
-                self._file.flush()
+                line = strict_json(row).encode() + b"\n"
+                if self._file.write(line) != len(line):
+                    raise OSError("the disk is full")
                 self._failure = None
             except (OSError, ValueError) as error:
                 self._failure = str(error)

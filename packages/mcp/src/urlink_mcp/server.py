@@ -61,13 +61,13 @@ _TICK = 0.1
 _KEY = "consent"
 
 _INSTRUCTIONS = (
-    "Tools for robot arms of Universal Robots. Lengths are in m, and angles in rad unless a name says degrees. Poses are "
-    "position and rotation vector in the base frame. Read get_state and get_limits before you plan a motion."
+    "Tools for robot arms of Universal Robots. Lengths are in m, and angles in rad unless a name says degrees. Poses "
+    "are position and rotation vector in the base frame. Read get_state and get_limits before you plan a motion."
 )
 _MOTION_INSTRUCTIONS = (
     " Each motion and each output needs the consent of a person, who is asked by this client. Ask for one motion at a "
-    "time, and wait for its result. If a request is refused, tell the person why instead of repeating it. stop needs no "
-    "consent."
+    "time, and wait for its result. If a request is refused, tell the person why instead of repeating it. stop needs "
+    "no consent."
 )
 
 _DESCRIPTIONS = {
@@ -228,8 +228,7 @@ class Server:
         self._expiry.tick()
         async with anyio.create_task_group() as group:
             group.start_soon(self._tick)
-            group.start_soon(self._serve_stdio if self._socket is None else self._serve_http, group.cancel_scope)
-            await self._ending.wait()
+            await (self._serve_stdio(self._ending) if self._socket is None else self._serve_http(self._ending))
             group.cancel_scope.cancel()
 
     async def _tick(self) -> None:
@@ -237,14 +236,18 @@ class Server:
             await anyio.sleep(_TICK)
             self._expiry.tick()
 
-    async def _serve_stdio(self, scope: anyio.CancelScope) -> None:
-        async with StandardStreams() as streams, stdio_server(streams, streams) as (reading, writing):
+    async def _serve_stdio(self, ending: asyncio.Event) -> None:
+        async with (
+            StandardStreams() as streams,
+            stdio_server(streams, streams) as (reading, writing),
+            anyio.create_task_group() as group,
+        ):
+            group.start_soon(_cancel_when, ending, group.cancel_scope)
             self._started.set()
             await self._server.run(reading, writing, self._server.create_initialization_options())
-            scope.cancel()
+            group.cancel_scope.cancel()
 
-    async def _serve_http(self, scope: anyio.CancelScope) -> None:
-        assert self._socket is not None
+    async def _serve_http(self, ending: asyncio.Event) -> None:
         settings = AuthSettings(issuer_url=f"http://{_HOST}:{self.port}", resource_server_url=None)
         app = self._server.streamable_http_app(
             streamable_http_path=PATH,
@@ -262,10 +265,15 @@ class Server:
             timeout_graceful_shutdown=1,
         )
         server = _Uvicorn(config, self._started.set)
-        try:
+
+        async def end() -> None:
+            await ending.wait()
+            server.should_exit = True
+
+        async with anyio.create_task_group() as group:
+            group.start_soon(end)
             await server.serve(sockets=[self._socket])
-        finally:
-            scope.cancel()
+            group.cancel_scope.cancel()
 
     # -- requests --------------------------------------------------------------------------------------
 
