@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import threading
 from collections.abc import Coroutine, Iterator
 from pathlib import Path
@@ -42,13 +43,19 @@ def clock() -> Clock:
 
 
 @pytest.fixture
-def commands(robot: urlink.Robot, clock: Clock, log: Path) -> Iterator[RobotCommands]:
+def expiry(clock: Clock) -> urlink.Expiry:
     expiry = urlink.Expiry(5.0, clock)
     expiry.tick()
+    return expiry
+
+
+@pytest.fixture
+def commands(robot: urlink.Robot, clock: Clock, expiry: urlink.Expiry, log: Path) -> Iterator[RobotCommands]:
     how: dict[str, Any] = {"consent_time": 30.0, "motion_time": 60.0, "now": clock}
-    commands = RobotCommands("arm", robot, expiry=expiry, log=RequestLog(log), **how)
-    yield commands
-    commands.close()
+    with contextlib.closing(RequestLog(log)) as requests:
+        commands = RobotCommands("arm", robot, expiry=expiry, log=requests, **how)
+        yield commands
+        commands.close()
 
 
 def prepared(commands: RobotCommands, given: OfRobot, tool: str = "move_joints") -> Coroutine[Any, Any, Question]:
@@ -59,14 +66,16 @@ def answered(commands: RobotCommands, question: Question, answer: Answer = YES) 
     return commands.answered(CLIENT, question.id, question.tool, {}, answer)
 
 
-def test_consent_is_valid_until_its_time(commands: RobotCommands, robot: urlink.Robot, clock: Clock) -> None:
+def test_consent_is_valid_until_its_time(
+    commands: RobotCommands, robot: urlink.Robot, clock: Clock, expiry: urlink.Expiry
+) -> None:
     async def main() -> None:
         for late, is_moved in ((0.0, True), (0.1, False)):
             question = await prepared(commands, MoveJoints(q=turned(robot, 0.05), speed=0.5))
             # Small steps, because a large step would be an interruption of the process.
             for _ in range(300):
                 clock.time += 0.1
-                commands._expiry.tick()
+                expiry.tick()
             clock.time = question.until + late
             if is_moved:
                 assert await answered(commands, question) == {"phase": "done"}
@@ -108,7 +117,7 @@ def test_second_motion_is_refused_while_one_runs(commands: RobotCommands, robot:
             await moving
 
     run(main())
-    assert events(log)[-1] == ("move_joints", "refused or failed") or ("stop", "done") in events(log)
+    assert {("stop", "asked"), ("stop", "done"), ("move_joints", "refused or failed")} <= set(events(log))
 
 
 def test_cancelled_task_stops_motion(commands: RobotCommands, robot: urlink.Robot) -> None:
@@ -228,8 +237,7 @@ def test_prepare_accepts_no_motion_beyond_limits(shared_robot: urlink.Robot, q: 
     try:
         given = MoveJoints(q=q, speed=speed)
         action = prepare(shared_robot, state, given)
-    except (ValidationError, urlink.LocalError, urlink.LimitExceeded) as error:
-        assert str(error)
+    except (ValidationError, urlink.LocalError):
         return
     assert len(q) == 6
     assert speed <= 3.15

@@ -54,4 +54,6 @@ def test_check_refuses_requests_when_disk_is_full() -> None:
     log.note(CLIENT, "arm", "stop", "asked", acts=True)
     with pytest.raises(urlink.LocalError, match="the request cannot be logged"):
         log.check()
+    # The events of a stop still do not raise.
     log.note(CLIENT, "arm", "stop", "done", acts=True)
+    log.close()
