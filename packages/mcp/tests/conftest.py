@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -20,7 +21,7 @@ LIMITS = urlink.SessionLimits(tool_speed=0.5, joint_speed=1.05, box=((-1.0, -1.0
 def shared_robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[urlink.Robot]:
     """Simulated robot for all tests, with limits and points. A busy computer must not end its connection."""
     points = tmp_path_factory.mktemp("points") / "cell.json"
-    how = {"silence": 20.0, "stale_after": 20.0, "start_timeout": 20.0}
+    how: dict[str, Any] = {"silence": 20.0, "stale_after": 20.0, "start_timeout": 20.0}
     with urlink.connect("sim://ur5e?firmware=5.11", limits=LIMITS, points=points, **how) as robot:
         robot.points.teach("home")
         yield robot

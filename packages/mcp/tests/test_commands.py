@@ -200,14 +200,18 @@ def test_point_that_changes_after_question_does_not_redirect_motion(
         robot.points.remove("there")
 
 
-def test_motion_is_refused_while_interlock_is_closed(commands: RobotCommands, robot: urlink.Robot) -> None:
-    robot.controller.pendant.protective_stop()
-    try:
+def test_request_is_refused_during_safety_stop() -> None:
+    limits = urlink.SessionLimits()
+    how: dict[str, Any] = {"consent_time": 30.0, "motion_time": 60.0}
+    with urlink.connect("sim://ur5e?firmware=5.11", limits=limits) as robot:
+        robot.realtime.wait(20.0)
+        robot.controller.faults.protective_stop()
+        run(until(lambda: robot.safety.refusal is not None))
+        commands = RobotCommands("arm", robot, expiry=urlink.Expiry(0.0), log=RequestLog(), **how)
         for given in (MoveJoints(q=[0.0] * 6), SetDigitalOutput(number=1, on=True)):
             with pytest.raises(urlink.SafetyStop):
                 run(prepared(commands, given))
-    finally:
-        robot.controller.pendant.unlock_protective_stop()
+        commands.close()
 
 
 # -- rehearsal ---------------------------------------------------------------------------------------
@@ -224,6 +228,13 @@ def test_rehearse_sends_nothing(robot: urlink.Robot) -> None:
     after = [robot.realtime.wait(20.0) for _ in range(50)][-1]
     np.testing.assert_array_equal(after.q_target, before.q_target)
     assert (robot.motion.current, after.digital_output_bits) == (None, before.digital_output_bits)
+
+
+def test_rehearse_checks_limits_before_first_state() -> None:
+    # The first call on a new connection waits for a state, which must not end the rehearsal.
+    limits = urlink.SessionLimits(joint_speed=0.5)
+    with urlink.connect("sim://ur5e?firmware=5.11", limits=limits) as robot, pytest.raises(urlink.LimitExceeded):
+        rehearse(lambda: robot.motion.move_joints([2.0, -1.5, 2.0, -2.07, -1.57, 0.0], 1.0))
 
 
 @pytest.mark.property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
@@ -99,6 +100,17 @@ class Action:
     tcp: FloatArray
 
 
+class _Rehearsal(PendingCall):
+    """Abandoned call. Its waits for a state are not ended, because they come before some of the checks."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.give_up()
+
+    def interruptible(self, wake: Callable[[], object]) -> contextlib.AbstractContextManager[None]:
+        return contextlib.nullcontext()
+
+
 def rehearse(call: Callable[[], object]) -> None:
     """Make all checks of a call without its effect: arguments, reach, and limits of the session.
 
@@ -108,10 +120,8 @@ def rehearse(call: Callable[[], object]) -> None:
     Raises:
         LinkError: If the call would be refused. Nothing is sent.
     """
-    abandoned = PendingCall()
-    abandoned.give_up()
     try:
-        abandoned.make(call)
+        _Rehearsal().make(call)
     except Cancelled:
         return
     raise LocalError("the command did not notice that it was abandoned")
