@@ -195,7 +195,7 @@ def test_late_consent_is_refused(robot: urlink.Robot, log: Path, mode: str) -> N
     with Server({"arm": robot}, port=0, token=TOKEN, allow=True, consent_time=1.0, log=log, settling=0.0) as server:
         result = run(main(server))
     assert result.is_error
-    assert ("nobody answered within 1 s" if mode == "legacy" else "too late; it was valid for 1 s") in text(result)
+    assert ("no person answered within 1 s" if mode == "legacy" else "too late; it was valid for 1 s") in text(result)
     np.testing.assert_array_equal(robot.realtime.wait(20.0).q_target, before)
     assert "started" not in [event for _, event in events(log)]
 

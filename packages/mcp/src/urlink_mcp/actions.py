@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Annotated, Any, Literal
 
@@ -107,8 +107,9 @@ class _Rehearsal(PendingCall):
         super().__init__()
         self.give_up()
 
-    def interruptible(self, wake: Callable[[], object]) -> contextlib.AbstractContextManager[None]:
-        return contextlib.nullcontext()
+    @contextlib.contextmanager
+    def interruptible(self, wake: Callable[[], object]) -> Iterator[None]:
+        yield
 
 
 def rehearse(call: Callable[[], object]) -> None:

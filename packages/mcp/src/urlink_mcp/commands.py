@@ -152,7 +152,7 @@ class RobotCommands:
         if answer is None:
             self._forget(question)
             self._note(question, "no answer")
-            raise LinkTimeout(f"nobody answered within {self._questions.time:g} s; nothing was sent")
+            raise LinkTimeout(f"no person answered within {self._questions.time:g} s; nothing was sent")
         return await self.answered(question.client, question.id, question.tool, question.arguments, answer)
 
     async def answered(
@@ -206,7 +206,7 @@ class RobotCommands:
             await self._end_of(motion, call)
             return {"phase": motion.phase.value}
         except BaseException:
-            # Also if the client cancels, or its connection is lost: nobody waits for this motion.
+            # Also if the client cancels, or its connection is lost: no client waits for this motion.
             _give_up(call)
             raise
         finally:

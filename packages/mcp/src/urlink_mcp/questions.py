@@ -31,7 +31,7 @@ SCHEMA: dict[str, Any] = {
         "consent": {
             "type": "boolean",
             "title": "Allow this once",
-            "description": "Choose true only if you can see the robot, and nobody is in its way.",
+            "description": "Choose true only if you can see the robot, and no person is in its way.",
         }
     },
     "required": ["consent"],
