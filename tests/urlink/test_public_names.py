@@ -207,7 +207,7 @@ SURFACES = {
 #: Attributes and methods of an asyncio robot and its parts.
 ASYNC_SURFACES = {
     "robot": """address call clock close controller dashboard firmware freedrive gripper identify identity interpreter
-        io kinematics measure_payload measure_payload_by_hand model motion points popup primary realtime record
+        io kinematics limits measure_payload measure_payload_by_hand model motion points popup primary realtime record
         registers rtde safety script secondary set_gravity set_payload set_speed_slider set_tcp teach tool_serial view
         wrench zero_force_sensor""",
     "robot.realtime": """close connection description failure history iterate join latest name of plot start
