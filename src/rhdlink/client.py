@@ -25,16 +25,17 @@ from linkcore.text import similar
 from linkcore.threads import Closing, ReentrantEvent, alone
 
 from .address import MqttAddress, is_mqtt, parse_address, parse_mqtt_address
-from .connection import Connection, Transport
 from .errors import AccessDenied, NotThere
 from .recording import RecordedTransport
-from .replica import Replica, Unsent
-from .sync_thread import Subscribers, SyncThread
+from .sync.connection import Connection
+from .sync.replica import Replica, Unsent
+from .sync.sync_thread import Subscribers, SyncThread
 from .variables.database import TimeStamp, database_of
 from .variables.declarations import Declaration, Declarations, bind, refuse_hiding
 from .variables.snapshot import Update, Variable, to_html
 from .wire.decoder import Limits
 from .wire.schema import WIDTHS
+from .wire.transport import Transport
 
 _log = logging.getLogger(__name__)
 
