@@ -109,7 +109,7 @@ def connect(
     robot = cast("R", Variables()) if variables is None else variables()
     transport: Transport
     if isinstance(place, MqttAddress):
-        from .mqtt.transport import MqttTransport  # only here: most programs need no host
+        from .mqtt.mqtt_transport import MqttTransport  # only here: most programs need no host
 
         transport = MqttTransport(place, access=access, fallback=fallback, width=width, silence=timeout)
     else:

@@ -8,7 +8,7 @@ from linkcore.clock import Stamp
 
 
 class Transport(Protocol):
-    """The transport of a connection: `linkcore.net.transport.TcpTransport`, or `rhdlink.mqtt.transport`."""
+    """The transport of a connection: `linkcore.net.transport.TcpTransport`, or `rhdlink.mqtt.mqtt_transport`."""
 
     name: str
 
