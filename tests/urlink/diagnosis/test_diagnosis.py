@@ -44,6 +44,7 @@ def drawn(cause: str, firmware: str = "5.11") -> StopRecord:
         (173, 8, "joint torque", 2),
         (191, 34, "joint speed", 2),
         (191, 2, "joint speed", None),
+        (191, 37, "joint speed", 5),
         (204, 1, "sudden change of target", None),
         (154, -1, "singularity", None),
         (209, 0, "program request", None),
@@ -56,7 +57,7 @@ def test_code_names_cause_and_joint(code: int, argument: int, cause: str, joint:
     assert found.source
 
 
-@pytest.mark.parametrize(("code", "argument"), [(0, 0), (153, 12), (191, 99), (99999, 1)])
+@pytest.mark.parametrize(("code", "argument"), [(0, 0), (153, 12), (191, 31), (191, 99), (99999, 1)])
 def test_unknown_code_has_no_meaning(code: int, argument: int) -> None:
     assert code_of(code, argument) is None
 
