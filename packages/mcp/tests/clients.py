@@ -97,6 +97,12 @@ def is_moving(robot: urlink.Robot) -> bool:
     return bool(robot.realtime.wait(20.0).qd_target.any())
 
 
+async def rests_before(robot: urlink.Robot, goal: list[float]) -> None:
+    """Wait until the arm is at rest, and check that it has not reached the goal of its motion."""
+    await until(lambda: not is_moving(robot))
+    assert abs(goal[0] - robot.realtime.wait(20.0).q_target[0]) > 0.5
+
+
 def events(log: Path) -> list[tuple[str, str]]:
     """Return the tools and events of a log of requests."""
     rows = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]

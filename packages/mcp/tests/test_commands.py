@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 import urlink
-from packages.mcp.tests.clients import events, is_moving, run, turned, until
+from packages.mcp.tests.clients import events, is_moving, rests_before, run, turned, until
 from urlink_mcp.actions import MoveJoints, MoveToPoint, OfRobot, SetDigitalOutput, prepare, rehearse
 from urlink_mcp.commands import Answer, RobotCommands
 from urlink_mcp.questions import Question
@@ -122,13 +122,14 @@ def test_second_motion_is_refused_while_one_runs(commands: RobotCommands, robot:
 
 def test_cancelled_task_stops_motion(commands: RobotCommands, robot: urlink.Robot) -> None:
     async def main() -> None:
-        question = await prepared(commands, MoveJoints(q=turned(robot, 1.0), speed=0.1))
+        goal = turned(robot, 1.0)
+        question = await prepared(commands, MoveJoints(q=goal, speed=0.1))
         moving = asyncio.create_task(answered(commands, question))
         await until(lambda: is_moving(robot))
         moving.cancel()
         with pytest.raises(asyncio.CancelledError):
             await moving
-        await until(lambda: not is_moving(robot))
+        await rests_before(robot, goal)
 
     run(main())
 

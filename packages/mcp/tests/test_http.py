@@ -25,6 +25,7 @@ from packages.mcp.tests.clients import (
     consenting,
     events,
     is_moving,
+    rests_before,
     run,
     text,
     turned,
@@ -303,14 +304,15 @@ def test_stop_of_other_client_ends_motion(server: Server, robot: urlink.Robot, m
             connected(server.url, mode, consenting()) as client,
             connected(server.url, mode, consenting(), name="other") as other,
         ):
-            arguments = {"q": turned(robot, 2.0), "speed": 0.1}
-            moving = asyncio.create_task(client.call_tool("move_joints", arguments))
+            goal = turned(robot, 2.0)
+            moving = asyncio.create_task(client.call_tool("move_joints", {"q": goal, "speed": 0.1}))
             await until(lambda: is_moving(robot))
             second = await other.call_tool("move_to_point", {"point": "home"})
             assert "a motion would end it" in text(second)
             values(await other.call_tool("stop", {}))
-            assert (await moving).is_error
             assert not is_moving(robot)
+            assert (await moving).is_error
+            await rests_before(robot, goal)
 
     run(main())
 
@@ -319,10 +321,11 @@ def test_stop_of_other_client_ends_motion(server: Server, robot: urlink.Robot, m
 def test_cancelled_request_stops_arm(server: Server, robot: urlink.Robot, log: Path, mode: str) -> None:
     async def main() -> None:
         async with connected(server.url, mode, consenting()) as client:
-            moving = asyncio.create_task(client.call_tool("move_joints", {"q": turned(robot, 2.0), "speed": 0.1}))
+            goal = turned(robot, 2.0)
+            moving = asyncio.create_task(client.call_tool("move_joints", {"q": goal, "speed": 0.1}))
             await until(lambda: is_moving(robot))
             moving.cancel()
-            await until(lambda: not is_moving(robot))
+            await rests_before(robot, goal)
             # The server serves this client as before.
             values(await client.call_tool("get_state", {}))
 
@@ -340,33 +343,35 @@ def test_killed_client_stops_arm(server: Server, robot: urlink.Robot, mode: str)
         "        await client.call_tool('move_joints', {'q': eval(sys.argv[3]), 'speed': 0.1})\n"
         "asyncio.run(main())\n"
     )
-    command = [sys.executable, "-c", code, str(server.url), mode, repr(turned(robot, 2.0))]
+    goal = turned(robot, 2.0)
+    command = [sys.executable, "-c", code, str(server.url), mode, repr(goal)]
     root = str(Path(__file__).parents[3])
     with subprocess.Popen(command, cwd=root, env=os.environ | {"PYTHONPATH": root}) as process:
         try:
             run(until(lambda: is_moving(robot)))
             assert process.poll() is None
             process.kill()
-            run(until(lambda: not is_moving(robot)))
+            run(rests_before(robot, goal))
         finally:
             process.kill()
 
 
 def test_motion_is_stopped_after_its_time(robot: urlink.Robot) -> None:
     with Server({"arm": robot}, port=0, token=TOKEN, allow=True, motion_time=1.0, settling=0.0) as server:
-        result = run(call(server, "move_joints", {"q": turned(robot, 2.0), "speed": 0.05}, "auto", consenting()))
+        goal = turned(robot, 2.0)
+        result = run(call(server, "move_joints", {"q": goal, "speed": 0.05}, "auto", consenting()))
         assert "did not end within 1 s; it was cancelled" in text(result)
-        run(until(lambda: not is_moving(robot)))
+        run(rests_before(robot, goal))
 
 
 def test_close_of_server_stops_arm(robot: urlink.Robot) -> None:
     async def main(server: Server) -> None:
         async with connected(server.url, "auto", consenting()) as client:
-            arguments = {"q": turned(robot, 2.0), "speed": 0.1}
-            moving = asyncio.create_task(client.call_tool("move_joints", arguments))
+            goal = turned(robot, 2.0)
+            moving = asyncio.create_task(client.call_tool("move_joints", {"q": goal, "speed": 0.1}))
             await until(lambda: is_moving(robot))
             await asyncio.to_thread(server.close)
-            await until(lambda: not is_moving(robot))
+            await rests_before(robot, goal)
             moving.cancel()
 
     with Server({"arm": robot}, port=0, token=TOKEN, allow=True, settling=0.0) as server:

@@ -18,8 +18,9 @@ from mcp import Client
 from mcp.client.stdio import StdioServerParameters
 
 import urlink
-from packages.mcp.tests.clients import MODES, Asked, is_moving, run, text, turned, until, values
+from packages.mcp.tests.clients import MODES, Asked, is_moving, rests_before, run, text, turned, until, values
 from packages.mcp.tests.test_http import INITIALIZE
+from urlink.simulator import Controller
 
 pytestmark = [pytest.mark.real_time, pytest.mark.slow]
 
@@ -28,20 +29,20 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
 @pytest.fixture(scope="module")
-def controller() -> Iterator[urlink.simulator.Controller]:
-    with urlink.simulator.Controller("UR5e", "5.11") as controller:
+def controller() -> Iterator[Controller]:
+    with Controller("UR5e", "5.11") as controller:
         yield controller
 
 
 @pytest.fixture
-def watcher(controller: urlink.simulator.Controller) -> Iterator[urlink.Robot]:
+def watcher(controller: Controller) -> Iterator[urlink.Robot]:
     """Second connection to the same controller. It commands nothing until the test has ended."""
     with urlink.connect(controller.address, silence=20.0, stale_after=20.0) as robot:
         yield robot
         robot.motion.stop(wait=20.0)
 
 
-def arguments(controller: urlink.simulator.Controller, *options: str) -> list[str]:
+def arguments(controller: Controller, *options: str) -> list[str]:
     return ["-m", "urlink.cli", "serve", "mcp", f"arm={controller.address}", *options]
 
 
@@ -50,7 +51,7 @@ ALLOW = ("--allow", "--limits", "teaching")
 
 @pytest.mark.parametrize("mode", MODES)
 def test_stdio_client_reads_and_moves_with_consent(
-    controller: urlink.simulator.Controller, watcher: urlink.Robot, mode: str, log: Path
+    controller: Controller, watcher: urlink.Robot, mode: str, log: Path
 ) -> None:
     person = Asked("accept", {"consent": True})
 
@@ -71,9 +72,7 @@ def test_stdio_client_reads_and_moves_with_consent(
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_killed_stdio_client_stops_arm(
-    controller: urlink.simulator.Controller, watcher: urlink.Robot, mode: str
-) -> None:
+def test_killed_stdio_client_stops_arm(controller: Controller, watcher: urlink.Robot, mode: str) -> None:
     code = (
         "import asyncio, sys\n"
         "from mcp import Client\n"
@@ -87,24 +86,25 @@ def test_killed_stdio_client_stops_arm(
         "        await client.call_tool('move_joints', {'q': eval(sys.argv[2]), 'speed': 0.1})\n"
         "asyncio.run(main())\n"
     )
-    command = [sys.executable, "-c", code, mode, repr(turned(watcher, 2.0)), repr(arguments(controller, *ALLOW))]
+    goal = turned(watcher, 2.0)
+    command = [sys.executable, "-c", code, mode, repr(goal), repr(arguments(controller, *ALLOW))]
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
         try:
             run(until(lambda: is_moving(watcher)))
             assert process.poll() is None
             process.kill()
-            run(until(lambda: not is_moving(watcher)))
+            run(rests_before(watcher, goal))
         finally:
             process.kill()
 
 
-def served(controller: urlink.simulator.Controller, *options: str) -> subprocess.Popen[str]:
+def served(controller: Controller, *options: str) -> subprocess.Popen[str]:
     command = [sys.executable, *arguments(controller, *options)]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     return subprocess.Popen(command, text=True, **pipes)  # type: ignore[call-overload, no-any-return]
 
 
-def test_standard_output_contains_only_the_protocol(controller: urlink.simulator.Controller) -> None:
+def test_standard_output_contains_only_the_protocol(controller: Controller) -> None:
     with served(controller) as process:
         sent = [
             json.dumps(INITIALIZE),
@@ -131,7 +131,7 @@ def test_standard_output_contains_only_the_protocol(controller: urlink.simulator
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGTERM that a program can handle")
-def test_sigterm_ends_server_while_input_is_open(controller: urlink.simulator.Controller) -> None:
+def test_sigterm_ends_server_while_input_is_open(controller: Controller) -> None:
     with served(controller) as process:
         try:
             assert process.stdin is not None
@@ -157,7 +157,7 @@ def example(name: str, *options: str, entered: str = "") -> str:
     return done.stdout
 
 
-def test_example_reads_state(controller: urlink.simulator.Controller) -> None:
+def test_example_reads_state(controller: Controller) -> None:
     out = example("read_state.py", f"arm={controller.address}")
     assert "tools: list_robots, get_state" in out
     assert "move_joints" not in out
@@ -174,7 +174,7 @@ def test_example_reads_state(controller: urlink.simulator.Controller) -> None:
     ],
 )
 def test_example_moves_only_after_yes(
-    controller: urlink.simulator.Controller, watcher: urlink.Robot, entered: str, end: str, degrees: float
+    controller: Controller, watcher: urlink.Robot, entered: str, end: str, degrees: float
 ) -> None:
     before = watcher.realtime.wait(20.0).q_target[0]
     out = example("ask_to_move.py", f"arm={controller.address}", entered=entered)
