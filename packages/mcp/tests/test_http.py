@@ -356,6 +356,12 @@ def test_killed_client_stops_arm(server: Server, robot: urlink.Robot, mode: str)
             process.kill()
 
 
+def test_stop_is_accepted_while_too_many_requests_are_pending(server: Server, robot: urlink.Robot) -> None:
+    server._pending = 64
+    assert "64 requests have not ended yet" in text(run(call(server, "get_state", {})))
+    assert values(run(call(server, "stop", {})))["at_rest"] is True
+
+
 def test_motion_is_stopped_after_its_time(robot: urlink.Robot) -> None:
     with Server({"arm": robot}, port=0, token=TOKEN, allow=True, motion_time=1.0, settling=0.0) as server:
         goal = turned(robot, 2.0)

@@ -261,7 +261,8 @@ class Server:
             _noting_disconnects(app),
             log_config=None,
             access_log=False,
-            limit_concurrency=_MOST,
+            # More than the pending requests, so that a stop still gets a connection.
+            limit_concurrency=4 * _MOST,
             timeout_graceful_shutdown=1,
         )
         server = _Uvicorn(config, self._started.set)
@@ -293,7 +294,7 @@ class Server:
         """Execute one request. If its client disconnects, the request is cancelled."""
         client, result = _client(ctx), _failed("the client has disconnected")
         gone: asyncio.Event | None = None if ctx.request is None else ctx.request.scope.get(_GONE)
-        if self._pending >= _MOST:
+        if self._pending >= _MOST and params.name != "stop":
             return _failed(f"{_MOST} requests have not ended yet; wait for one of them")
         self._pending += 1
         try:
