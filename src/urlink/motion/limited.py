@@ -42,6 +42,9 @@ _LEAP = 0.5
 LATE = 4
 #: Time in s by which the start of a program stretches the time of a speed, while the speed scaling rises from 0 to 1.
 RAMP = 0.5 / number("start_rate")
+#: If the acceleration of a trajectory rises within the first of these times in s, servoj exceeds the speed by this rise
+#: in rad/s², times the factor in s. Both are chosen from the simulator (assumption).
+_OVERSHOOTS, _OVERSHOOT = (0.15, 0.1, 0.05, 0.0), 0.025
 #: Delays in s after which a new program can take over from a motion at a speed.
 DELAYS = (0.0, 0.05, 0.1)
 #: Deceleration with which the program of a servo brakes at its end (`urlink.script.links.BRAKE`), in rad/s², and
@@ -341,9 +344,15 @@ class LimitedArm:
     def check_trajectory(self, trajectory: JointCurve) -> None:
         """Check a trajectory that begins close to the position of the arm."""
         offset = self.q - trajectory.q[0]
-        self.check_curve(
-            lambda t: trajectory.at(t)[:2], trajectory.time, offset if np.abs(offset).max() < 0.5 else None
-        )
+
+        def followed(t: FloatArray) -> tuple[FloatArray, FloatArray]:
+            q, qd, _ = trajectory.at(t)
+            # Accelerations of the last _OVERSHOOTS in the direction of the motion, the oldest one first.
+            recent = [np.sign(qd) * trajectory.at(t - lag)[2] for lag in _OVERSHOOTS]
+            overshoot = _OVERSHOOT * np.maximum(np.max(recent, axis=0) - recent[0], 0.0)
+            return q, qd + np.sign(qd) * overshoot
+
+        self.check_curve(followed, trajectory.time, offset if np.abs(offset).max() < 0.5 else None)
 
     def check_contact(self, direction: FloatArray, speed: float, acceleration: float, distance: float) -> None:
         """Check a straight motion until a contact, over its whole distance, and braking at its end.
