@@ -173,6 +173,7 @@ PACKAGES: dict[str, tuple[str, ...]] = {
     "mujoco": (UR_RTDE,),
     "mqtt": (),
     "opcua": (),
+    "mcp": (),
     "files": (),
     "prometheus": (),
     "rr": (),

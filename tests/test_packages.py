@@ -33,6 +33,9 @@ MIDDLEWARES = {
     "asyncssh",
     "torch",
     "fastapi",
+    "mcp",
+    "mcp_types",
+    "pydantic",
     "uvicorn",
 }
 
