@@ -231,6 +231,8 @@ class Scheduler:
         if self._stands_in:
             raise RuntimeError(f"work that was done in place of the thread {self.running.name!r} must not wait")
         task = self.running
+        # If a call of `call_at` waits although it must not, the task was already waiting, and waits again afterwards.
+        outer = task.deadline if self._is_choosing else None
         task.is_late = False
         task.deadline = deadline
         task.waiters = waiters
@@ -239,7 +241,9 @@ class Scheduler:
         if deadline is not None and deadline < task.alarm:
             self.set_alarm(task, deadline)
         self._change(task)
-        task.deadline = None
+        task.deadline = outer
+        if outer is not None and outer < task.alarm:
+            self.set_alarm(task, outer)
         return not task.is_late
 
     def deadline(self, seconds: float | None) -> float | None:
@@ -285,10 +289,18 @@ class Scheduler:
             self.running, self.ident, self._stands_in = running, ident, False
 
     @property
+    def is_idle(self) -> bool:
+        """Whether every task waits, so that none was interrupted while it held a lock.
+
+        While lines are traced, a task might be interrupted anywhere.
+        """
+        return not self._ready and self._tracer is None
+
+    @property
     def quiet_until(self) -> float:
         """Time until which nothing can happen, except for the call of `call_at` that is running."""
         due = self._due
-        while due and not self._ready:
+        while due and self.is_idle:
             when, _, call, task = due[0]
             if isinstance(call, Check) and not call.is_needed():
                 heapq.heappop(due)

@@ -259,10 +259,9 @@ class Socket(Pollable):
 
         Return False if no thread waits, or the program cannot take the packet in this way.
         """
-        reader = self._reader
-        if reader is None or reader.is_ready or not data.is_steady or not self._computer.is_running:
+        reader, scheduler = self._reader, self._sockets.scheduler
+        if reader is None or not data.is_steady or not self._computer.is_running or not scheduler.is_idle:
             return False
-        scheduler = self._sockets.scheduler
         try:
             is_taken, seconds = scheduler.stand_in(reader, lambda: self.take_in_place(data))
         except Exception as error:
@@ -687,7 +686,7 @@ class Selector(Pollable, selectors._BaseSelectorImpl):
             if not is_waiting:
                 return
             again = None
-            if task.computer.is_running:
+            if task.computer.is_running and scheduler.is_idle:
                 try:
                     again = scheduler.stand_in(task, call)
                 except Exception as error:
