@@ -232,7 +232,7 @@ class Scheduler:
             raise RuntimeError(f"work that was done in place of the thread {self.running.name!r} must not wait")
         task = self.running
         # If a call of `call_at` waits although it must not, the task was already waiting, and waits again afterwards.
-        outer = task.deadline if self._is_choosing else None
+        outer, outer_waiters = (task.deadline, task.waiters) if self._is_choosing else (None, None)
         task.is_late = False
         task.deadline = deadline
         task.waiters = waiters
@@ -241,7 +241,7 @@ class Scheduler:
         if deadline is not None and deadline < task.alarm:
             self.set_alarm(task, deadline)
         self._change(task)
-        task.deadline = outer
+        task.deadline, task.waiters = outer, outer_waiters
         if outer is not None and outer < task.alarm:
             self.set_alarm(task, outer)
         return not task.is_late
@@ -431,7 +431,7 @@ class Scheduler:
             self.set_alarm(task, deadline)
         else:
             task.is_late = True
-            if task.waiters is not None:
+            if task.waiters is not None and task in task.waiters:
                 task.waiters.remove(task)
             self.make_ready(task)
 
@@ -445,6 +445,10 @@ class Scheduler:
                     self._is_choosing = True
                     call()
                     self._is_choosing = False
+                    host = self.running
+                    if host.deadline is not None and host.alarm == _NEVER and not host.is_ready:
+                        # The call has waited although it must not, and the alarm rang meanwhile.
+                        self.set_alarm(host, host.deadline)
                 elif task is not None and task.alarm == when:
                     self._ring(task)
             if ready:

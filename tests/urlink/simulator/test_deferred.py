@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 import urlink
 from linkcore.clock import Stamp
 from linkcore.simulated import Simulation
+from urlink.protocol.enums import SafetyMode
 from urlink.protocol.realtime.packets import RealtimeState
 from urlink.simulator import Controller, server
 
@@ -169,3 +170,15 @@ def test_fault_during_a_pause_is_seen_in_its_cycle() -> None:
         time.sleep(0.5)
         assert len(stops) == 1
         assert 0.0 <= stops[0] - begun < 0.02
+
+
+def test_fault_at_a_simulated_time_does_not_disturb_a_sleep() -> None:
+    """The call waits for the thread of the controller, in place of a thread that already waits."""
+    with urlink.simulated_time(0) as sim, urlink.connect("sim://?firmware=5.11") as robot:
+        robot.realtime.wait(1.0)
+        sim.at(sim.now + 1.0, robot.controller.faults.protective_stop)
+        begun = sim.now
+        for _ in range(40):
+            time.sleep(0.05)
+        assert sim.now - begun == pytest.approx(2.0, abs=0.01)
+        assert robot.realtime.wait(1.0).safety_mode == SafetyMode.PROTECTIVE_STOP
