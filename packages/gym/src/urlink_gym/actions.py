@@ -101,23 +101,28 @@ class Actions:
         else:
             self.space = Box(-1.0, 1.0, (KINDS[kind],), np.float32)
 
-    def target(self, numbers: Floats, commanded: Floats) -> Floats:
-        """Return the joint positions to which an action moves the target, shape (6,), in rad.
+    def target(self, numbers: Floats, commanded: Floats) -> tuple[Floats, Numbers32]:
+        """Return the joint positions to which an action moves the target, and the action that this motion is.
+
+        The second differs from `numbers` if the target is clipped at a step, at a limit of a joint, or at the box.
 
         Args:
             numbers: Numbers of the action, within `space`.
             commanded: Current target of the joints, shape (6,), in rad.
 
+        Returns:
+            Joint positions, shape (6,), in rad, and the numbers of the executed action.
+
         Raises:
             Blocked: If the tool cannot reach the target, or a joint would have to jump.
         """
-        if self.kind == "joints":
-            away = np.clip(numbers - commanded, -self._steps.joint, self._steps.joint)
-            joints: Floats = np.clip(commanded + away, self._low, self._high)
-            return joints
-        if self.kind == "joint_deltas":
-            joints = np.clip(commanded + self._scale * numbers, self._low, self._high)
-            return joints
+        if self.kind in ("joints", "joint_deltas"):
+            away = numbers - commanded if self.kind == "joints" else self._scale * numbers
+            joints: Floats = np.clip(
+                commanded + np.clip(away, -self._steps.joint, self._steps.joint), self._low, self._high
+            )
+            done = joints if self.kind == "joints" else (joints - commanded) / self._scale
+            return joints, self._within(done)
         pose = self._arm.forward(commanded, self.tcp)
         change = self._scale * numbers
         moved = pose[:3] + change[:3]
@@ -134,7 +139,12 @@ class Actions:
             raise Blocked("reach") from None
         if np.abs(q - commanded).max() > _LEAP:
             raise Blocked("singularity")
-        return q
+        change[:3] = moved - pose[:3]
+        return q, self._within(change / self._scale)
+
+    def _within(self, numbers: Floats) -> Numbers32:
+        clipped: Numbers32 = np.clip(numbers, self.space.low, self.space.high).astype(np.float32)
+        return clipped
 
     def between(self, q: Floats, pose: Floats, later_q: Floats, later_pose: Floats) -> Numbers32:
         """Return the action that moves an arm from one posture to another, clipped to `space`.
@@ -152,20 +162,10 @@ class Actions:
             if self.kind == "pose_deltas":
                 inverse = poses.invert((0.0, 0.0, 0.0, *pose[3:]))
                 change = np.concatenate((change, poses.compose((0.0, 0.0, 0.0, *later_pose[3:]), inverse)[3:]))
-        numbers: Numbers32 = np.clip(change / self._scale, self.space.low, self.space.high).astype(np.float32)
-        return numbers
-
-    def executed(self, commanded: Floats, target: Floats) -> Numbers32:
-        """Return the action that moves the target of the joints from `commanded` to `target`."""
-        if self.kind in ("joints", "joint_deltas"):
-            return self.between(commanded, commanded, target, target)
-        return self.between(
-            commanded, self._arm.forward(commanded, self.tcp), target, self._arm.forward(target, self.tcp)
-        )
+        return self._within(change / self._scale)
 
     def rest(self, commanded: Floats) -> Numbers32:
         """Return the action that keeps the target."""
         if self.kind == "joints":
-            numbers: Numbers32 = np.clip(commanded, self.space.low, self.space.high).astype(np.float32)
-            return numbers
+            return self._within(commanded)
         return np.zeros(KINDS[self.kind], np.float32)

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import urlink
 from linkcore import clock
-from urlink import BadValue, LimitExceeded, LinkError, LocalError, Robot, SessionLimits
+from urlink import BadValue, Closed, GripperFault, LimitExceeded, LinkError, Robot, SessionLimits
 from urlink.arm import poses
 from urlink.packets import RealtimeState
 from urlink.tools import shown_tcp, six
@@ -204,7 +204,7 @@ class ArmEnv(gymnasium.Env[Observation, Numbers32]):
             self._halt()
             raise
         self._tick = clock.now()
-        return self._copied(), {"states": states}
+        return self._last, {"states": states}
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Move the target of the arm by an action, wait for the end of the period, and observe the arm.
@@ -246,9 +246,10 @@ class ArmEnv(gymnasium.Env[Observation, Numbers32]):
     def _step(
         self, numbers: Floats, before: RealtimeState
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        late = clock.now() - (self._tick + self._period)
+        now = clock.now()
+        late = now - (self._tick + self._period)
         if late > 0.0:
-            self._tick += late  # the arm gets a whole period for each action
+            self._tick = now  # the arm gets a whole period for each action
         given = None if self._intervention is None else self._intervention(self)
         if given is not None:
             numbers = self._checked(given, "the action of the intervention")
@@ -264,13 +265,11 @@ class ArmEnv(gymnasium.Env[Observation, Numbers32]):
             done, blocked = self._command(numbers, before)
         clock.sleep(self._tick + self._period - clock.now())
         self._tick += self._period
+        self._check_block()
         state, states = self._newest()
         if done is None:
-            done = self._with_fingers(
-                self.actions.between(
-                    before.q_actual, before.tool_vector_actual, state.q_actual, state.tool_vector_actual
-                )
-            )
+            done = self.motion_between(before, state)
+            self._commanded = state.q_actual
         observation = self._last = self._observe(state)
         reward, is_solved = self._task.judge(self, observation)
         info = {
@@ -282,7 +281,7 @@ class ArmEnv(gymnasium.Env[Observation, Numbers32]):
         }
         if info["intervention"]:
             info["intervene_action"] = done.copy()
-        return self._copied(), float(reward), bool(is_solved), False, info
+        return observation, float(reward), bool(is_solved), False, info
 
     def close(self) -> None:
         """Stop the arm, and disconnect if this environment has made the connection. Idempotent."""
@@ -364,6 +363,12 @@ class ArmEnv(gymnasium.Env[Observation, Numbers32]):
         if block is not None:
             block.__exit__(None, None, None)
 
+    def _check_block(self) -> None:
+        """Raise the error that ended the servo or freedrive, if it has ended."""
+        block = self._block
+        if block is not None and block.done:
+            raise block.error or Closed(f"the {block.name} of this environment has ended")
+
     def _command(self, numbers: Floats, state: RealtimeState) -> tuple[Numbers32, str]:
         """Send a target, and return the executed action and the reason why the arm kept its target, or ""."""
         servo, commanded = self._block, self._commanded
@@ -373,7 +378,7 @@ class ArmEnv(gymnasium.Env[Observation, Numbers32]):
         if self._has_gripper:
             self._move_fingers(float(clipped[-1]))
         try:
-            target = self.actions.target(arm, commanded)
+            target, done = self.actions.target(arm, commanded)
             if np.abs(target - state.q_target).max() > _AHEAD:
                 raise Blocked("lag")
             servo.send(target)
@@ -382,12 +387,14 @@ class ArmEnv(gymnasium.Env[Observation, Numbers32]):
         except LimitExceeded as error:
             return self.rest(), error.limit
         self._commanded = target
-        return self._with_fingers(self.actions.executed(commanded, target)), ""
+        return self._with_fingers(done), ""
 
     def _move_fingers(self, wanted: float) -> None:
         position = round(127.5 * (wanted + 1.0))
         if abs(position - self._grip) >= _SAME:
-            self.robot.gripper.move(position, wait=False)
+            status = self.robot.gripper.move(position, wait=False)
+            if status.fault:
+                raise GripperFault(f"the gripper reports fault {status.fault}", status.fault)
             self._grip = position
 
     def _with_fingers(self, numbers: Numbers32) -> Numbers32:
@@ -416,7 +423,9 @@ class ArmEnv(gymnasium.Env[Observation, Numbers32]):
             "states": states,
             "error": f"{type(error).__name__}: {error}",
         }
-        return self._copied(), 0.0, False, True, info
+        # Copies, because the caller holds the arrays of the last observation.
+        observation = {name: np.array(value) for name, value in self._last.items()}
+        return observation, 0.0, False, True, info
 
     # -- observations ----------------------------------------------------------------------------------
 
@@ -440,7 +449,6 @@ class ArmEnv(gymnasium.Env[Observation, Numbers32]):
         return state, states
 
     def _spaces(self) -> dict[str, Any]:
-        unbounded = 1e3
         spaces: dict[str, Any] = {
             "q_actual": Box(-4.0 * math.pi, 4.0 * math.pi, (6,), np.float32),
             "qd_actual": Box(-10.0, 10.0, (6,), np.float32),
@@ -448,16 +456,17 @@ class ArmEnv(gymnasium.Env[Observation, Numbers32]):
             "tool_rotation": Box(-1.001, 1.001, (6,), np.float32),
         }
         if self._observes_force:
-            spaces["tcp_force"] = Box(-unbounded, unbounded, (6,), np.float32)
+            spaces["tcp_force"] = Box(-1e4, 1e4, (6,), np.float32)
         if self._has_gripper:
             spaces["gripper"] = Box(-1.0, 1.0, (1,), np.float32)
-        for name, image in self._images.items():
-            shape = np.asarray(image(self.robot)).shape
-            spaces[name] = Box(0, 255, shape, np.uint8)
-        added = self._task.spaces()
-        if taken := spaces.keys() & added.keys():
-            raise BadValue(f"the task or the images also use the names {', '.join(sorted(taken))}; expected other names")
-        return spaces | added
+        pictures = {
+            name: Box(0, 255, np.asarray(image(self.robot)).shape, np.uint8) for name, image in self._images.items()
+        }
+        for what, added in (("images", pictures), ("the task", self._task.spaces())):
+            if taken := spaces.keys() & added.keys():
+                raise BadValue(f"{what} cannot use the names {', '.join(sorted(taken))}; they are already used")
+            spaces |= added
+        return spaces
 
     def _observe(self, state: RealtimeState) -> Observation:
         pose = state.tool_vector_actual
@@ -475,10 +484,6 @@ class ArmEnv(gymnasium.Env[Observation, Numbers32]):
         for name, image in self._images.items():
             found[name] = np.asarray(image(self.robot), np.uint8)
         return found | self._task.observe(self)
-
-    def _copied(self) -> Observation:
-        """Return the last observation as new arrays, because the caller may change them."""
-        return {name: np.array(value) for name, value in self._last.items()}
 
 
 def _number(name: str, value: float, low: float, high: float) -> float:
