@@ -174,6 +174,7 @@ PACKAGES: dict[str, tuple[str, ...]] = {
     "mqtt": (),
     "opcua": (),
     "files": (),
+    "gym": ("./packages/mujoco",),
     "prometheus": (),
     "rr": (),
     "zenoh": ("jsonschema",),

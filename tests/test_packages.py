@@ -25,6 +25,7 @@ MIDDLEWARES = {
     "control_msgs",
     "std_msgs",
     "std_srvs",
+    "gymnasium",
     "lerobot",
     "mujoco",
     "draccus",

@@ -25,6 +25,12 @@ TCP = (0.0, 0.0, 0.145, 0.0, 0.0, 0.0)
 START = Arm("UR5e").inverse((-0.45, -0.1, 0.06, np.pi, 0.0, 0.0), urlink_gym.arm_env.HOME, TCP)
 
 
+def world(env: urlink_gym.ArmEnv) -> Any:
+    """Return the `urlink_mujoco.MujocoWorld` around the arm."""
+    scene: Any = env.robot.controller.world.scene
+    return scene.world
+
+
 class Push(urlink_gym.Task):
     """Push the box along y to `GOAL`."""
 
@@ -32,10 +38,10 @@ class Push(urlink_gym.Task):
         return {"box": Box(-10.0, 10.0, (3,), np.float32)}
 
     def reset(self, env: urlink_gym.ArmEnv) -> None:
-        env.robot.controller.world.scene.world.reset()
+        world(env).reset()
 
     def observe(self, env: urlink_gym.ArmEnv) -> dict[str, np.ndarray]:
-        return {"box": env.robot.controller.world.scene.world.pose("box")[:3].astype(np.float32)}
+        return {"box": world(env).pose("box")[:3].astype(np.float32)}
 
     def judge(self, env: urlink_gym.ArmEnv, observation: dict[str, np.ndarray]) -> tuple[float, bool]:
         away = abs(float(observation["box"][1]) - GOAL)

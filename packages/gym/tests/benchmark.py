@@ -16,6 +16,7 @@ import json
 import statistics
 import time
 from collections import deque
+from typing import Any
 
 import numpy as np
 
@@ -54,7 +55,7 @@ def without_env(robot: urlink.Robot, count: int) -> float:
     robot.motion.move_joints(HOME, speed=0.8, wait=True)
     arm, goal, scale = robot.kinematics, np.zeros(3, np.float32), np.array([0.01] * 3 + [0.05] * 3)
     arrived: deque[RealtimeState] = deque(maxlen=10_000)
-    options = {"speed": 1.05, "acceleration": 5.0, "jerk": 50.0, "watchdog": 0.5}
+    options: Any = {"speed": 1.05, "acceleration": 5.0, "jerk": 50.0, "watchdog": 0.5}
     with robot.motion.servo(1.0 / PERIOD, target_filter="jerk_limited", **options) as servo:
         subscription = robot.realtime.subscribe(arrived.append, inline=True)
         state = robot.realtime.wait()

@@ -69,10 +69,15 @@ def test_tool_outside_of_box_may_only_come_back() -> None:
 
 def test_target_raises_blocked_when_out_of_reach() -> None:
     actions = Actions("position_deltas", ARM, Steps(move=0.1))
-    q = START
-    with pytest.raises(Blocked, match="reach|singularity"):
+
+    def move_away() -> None:
+        q = START
         for _ in range(20):
             q, _ = actions.target(np.array([-1.0, 0.0, 0.0]), q)
+
+    with pytest.raises(Blocked) as caught:
+        move_away()
+    assert caught.value.reason in ("reach", "singularity")
 
 
 def test_actions_reject_unknown_kind() -> None:
@@ -80,7 +85,9 @@ def test_actions_reject_unknown_kind() -> None:
         Actions("speed", ARM, Steps())
 
 
-@pytest.mark.parametrize("wrong", [{"move": 0.0}, {"turn": -1.0}, {"joint": float("nan")}, {"move": "1"}, {"move": 0.2}])
+@pytest.mark.parametrize(
+    "wrong", [{"move": 0.0}, {"turn": -1.0}, {"joint": float("nan")}, {"move": "1"}, {"move": 0.2}]
+)
 def test_steps_reject_invalid_numbers(wrong: dict[str, Any]) -> None:
     with pytest.raises(BadValue, match=next(iter(wrong))):
         Steps(**wrong)

@@ -13,12 +13,11 @@ from gymnasium.utils.env_checker import check_env
 
 import urlink
 from linkcore import clock
+from packages.gym.tests.conftest import CB3, E_SERIES
 from urlink import BadValue, SessionLimits
 from urlink.simulator import Controller, Still
 from urlink_gym import ArmEnv, Task
 from urlink_gym.arm_env import HOME
-
-from packages.gym.tests.conftest import CB3, E_SERIES
 
 Make = Callable[..., ArmEnv]
 #: Box around the home position of a UR5.
@@ -40,9 +39,11 @@ def test_env_passes_gymnasiums_check(simulated_time: urlink.Simulation, action: 
 
 
 def test_env_of_joints_passes_gymnasiums_check(simulated_time: urlink.Simulation) -> None:
-    with gymnasium.make("urlink/Arm-v0", robot=CB3, action="joints") as env:
-        with pytest.warns(UserWarning, match="normalized space"):
-            check_env(env.unwrapped, skip_render_check=True)
+    with (
+        gymnasium.make("urlink/Arm-v0", robot=CB3, action="joints") as env,
+        pytest.warns(UserWarning, match="normalized space"),
+    ):
+        check_env(env.unwrapped, skip_render_check=True)
 
 
 def test_step_moves_tool_by_its_actions(make: Make) -> None:
@@ -301,7 +302,7 @@ def test_safety_stop_ends_episode(make: Make, urlink_controller: Controller) -> 
         urlink_controller.faults.clear()
         robot.safety.wait_enabled(timeout=10.0)
         env.reset()
-        assert env.error is None
+        assert getattr(env, "error") is None  # noqa: B009  (mypy remembers the error of the episode before)
         *_, truncated, info = env.step(STILL)
         assert not truncated
 
@@ -400,7 +401,7 @@ def test_fault_of_gripper_ends_episode(make: Make) -> None:
 def test_images_are_observations(make: Make) -> None:
     shades = iter(range(10, 250))
     env = make(images={"wrist": lambda robot: np.full((4, 6, 3), next(shades), np.uint8)})
-    assert env.observation_space["wrist"].shape == (4, 6, 3)
+    assert dict(env.observation_space)["wrist"].shape == (4, 6, 3)
     observation, _ = env.reset()
     later, *_ = env.step(STILL)
     assert later["wrist"][0, 0, 0] == observation["wrist"][0, 0, 0] + 1

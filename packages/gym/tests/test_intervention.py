@@ -11,12 +11,11 @@ from gymnasium.error import ResetNeeded
 
 import urlink
 from linkcore import clock
+from packages.gym.tests.conftest import E_SERIES
 from urlink import BadValue
 from urlink.packets import DigitalBits
 from urlink.simulator import Controller
 from urlink_gym import ArmEnv, LeaderArm, held
-
-from packages.gym.tests.conftest import E_SERIES
 
 Make = Callable[..., ArmEnv]
 
@@ -60,7 +59,9 @@ def test_arm_is_guided_while_button_is_held(make: Make, action: str) -> None:
     assert end["tool_position"][1] - begin["tool_position"][1] > 0.01
     done = np.array([info["intervene_action"] for info in infos])
     if action == "position_deltas":
-        assert 0.01 * done.sum(axis=0)[1] == pytest.approx(end["tool_position"][1] - begin["tool_position"][1], abs=0.002)
+        assert 0.01 * done.sum(axis=0)[1] == pytest.approx(
+            end["tool_position"][1] - begin["tool_position"][1], abs=0.002
+        )
     elif action == "joint_deltas":
         assert 0.03 * done.sum(axis=0) == pytest.approx(end["q_actual"] - begin["q_actual"], abs=0.005)
     else:

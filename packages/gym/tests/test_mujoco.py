@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
-from pathlib import Path
 
-import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env

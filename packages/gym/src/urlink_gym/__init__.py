@@ -10,9 +10,10 @@ Importing the package registers `urlink/Arm-v0` (no task) and `urlink/Reach-v0`.
 
 from __future__ import annotations
 
+from gymnasium.envs.registration import register
+
 # Before urlink: the warning about another distribution named linkcore must come before an import fails.
 import linkcore  # noqa: F401
-from gymnasium.envs.registration import register
 
 from .actions import KINDS, Actions, Steps
 from .arm_env import ArmEnv

@@ -157,7 +157,7 @@ class ArmEnv(gymnasium.Env[Observation, Numbers32]):
                 if gripper
                 else self.actions.space
             )
-            self.observation_space = Dict(self._spaces())  # type: ignore[assignment]
+            self.observation_space = Dict(self._spaces())
         except BaseException:
             self.close()
             raise
@@ -243,9 +243,7 @@ class ArmEnv(gymnasium.Env[Observation, Numbers32]):
             self._halt()
             raise
 
-    def _step(
-        self, numbers: Floats, before: RealtimeState
-    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def _step(self, numbers: Floats, before: RealtimeState) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         now = clock.now()
         late = now - (self._tick + self._period)
         if late > 0.0:
@@ -309,9 +307,7 @@ class ArmEnv(gymnasium.Env[Observation, Numbers32]):
             target = self._commanded + (after.q_actual - before.q_actual)
             return self._with_fingers(self.actions.between(target, target, target, target))
         return self._with_fingers(
-            self.actions.between(
-                before.q_actual, before.tool_vector_actual, after.q_actual, after.tool_vector_actual
-            )
+            self.actions.between(before.q_actual, before.tool_vector_actual, after.q_actual, after.tool_vector_actual)
         )
 
     # -- motion ----------------------------------------------------------------------------------------

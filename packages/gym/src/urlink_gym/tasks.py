@@ -62,7 +62,8 @@ class Reach(Task):
 
     def reset(self, env: ArmEnv) -> None:
         """Draw a new goal."""
-        self.goal = env.np_random.uniform(*self._corners).astype(np.float32)
+        low, high = self._corners
+        self.goal = np.asarray(env.np_random.uniform(low, high), np.float32)
 
     def observe(self, env: ArmEnv) -> dict[str, Any]:
         """Return the goal."""
