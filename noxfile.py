@@ -174,7 +174,7 @@ PACKAGES: dict[str, tuple[str, ...]] = {
     "mqtt": (),
     "opcua": (),
     "files": (),
-    "gym": ("./packages/mujoco",),
+    "gym": ("./packages/mujoco", "openpi-client==0.1.2; python_version < '3.13'"),
     "prometheus": (),
     "rr": (),
     "zenoh": ("jsonschema",),

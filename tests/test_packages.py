@@ -26,6 +26,7 @@ MIDDLEWARES = {
     "std_msgs",
     "std_srvs",
     "gymnasium",
+    "openpi_client",
     "lerobot",
     "mujoco",
     "draccus",

@@ -17,10 +17,11 @@ import linkcore  # noqa: F401
 
 from .actions import KINDS, Actions, Steps
 from .arm_env import ArmEnv
+from .chunks import ChunkFollower, Moment
 from .intervention import LeaderArm, held
 from .tasks import Reach, Task
 
-__all__ = ["KINDS", "Actions", "ArmEnv", "LeaderArm", "Reach", "Steps", "Task", "held"]
+__all__ = ["KINDS", "Actions", "ArmEnv", "ChunkFollower", "LeaderArm", "Moment", "Reach", "Steps", "Task", "held"]
 
 # A real arm never repeats an episode exactly, and neither does a simulator with noise.
 register(id="urlink/Arm-v0", entry_point="urlink_gym.arm_env:ArmEnv", nondeterministic=True)
