@@ -87,9 +87,11 @@ def test_chunk_takes_effect_after_its_frozen_actions(make: Callable[..., UR]) ->
     arm.connect()
     assert (arm.chunk_time, arm.chunk_delay) == (0.0, 0.0)
     arm.send_chunk(turned(arm.get_observation()), PERIOD)
-    time.sleep(0.3)  # the arm executes the first actions
-    observation = arm.get_observation()
-    assert 0.1 < arm.chunk_time < HORIZON * PERIOD
+    end = time.monotonic() + 30.0
+    while arm.chunk_time < 0.1:  # until the arm has executed the first actions
+        assert time.monotonic() < end
+        observation = arm.get_observation()
+    assert arm.chunk_time < HORIZON * PERIOD
     arm.send_chunk(turned(observation), PERIOD, frozen=20)
     assert arm.chunk_delay == pytest.approx(1.0, abs=0.02)
     arm.get_observation()
