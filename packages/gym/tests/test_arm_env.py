@@ -401,7 +401,7 @@ def test_fault_of_gripper_ends_episode(make: Make) -> None:
 def test_images_are_observations(make: Make) -> None:
     shades = iter(range(10, 250))
     env = make(images={"wrist": lambda robot: np.full((4, 6, 3), next(shades), np.uint8)})
-    assert dict(env.observation_space)["wrist"].shape == (4, 6, 3)
+    assert env.observation_space["wrist"].shape == (4, 6, 3)
     observation, _ = env.reset()
     later, *_ = env.step(STILL)
     assert later["wrist"][0, 0, 0] == observation["wrist"][0, 0, 0] + 1

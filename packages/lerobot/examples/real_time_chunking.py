@@ -100,7 +100,9 @@ def main(words: list[str] | None = None) -> None:
     features = map_robot_keys_to_lerobot_features(robot)
 
     def prepare(observation: dict[str, Any]) -> dict[str, Any]:
-        return before(build_inference_frame(observation, torch.device(args.device), features, args.task, robot.name))
+        frame = build_inference_frame(observation, torch.device(args.device), features, args.task, robot.name)
+        batch: dict[str, Any] = before(frame)
+        return batch
 
     robot.connect()
     try:

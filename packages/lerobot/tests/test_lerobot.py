@@ -16,6 +16,7 @@ from lerobot.utils.import_utils import register_third_party_plugins
 
 import urlink
 from lerobot_robot_urlink import UR, URConfig, URLeader, URLeaderConfig
+from urlink.packets import ProgramState
 from urlink.simulator import Controller
 
 NAMES = [f"joint_{number}.pos" for number in range(1, 7)]
@@ -127,7 +128,7 @@ def test_arm_brakes_without_actions(arm: UR, controller: Controller) -> None:
 def pause(controller: Controller) -> None:
     """Wait until the program of the servo has ended, because no action came."""
     with urlink.connect(controller.address, read_only=True) as robot:
-        robot.realtime.wait_until(lambda state: state.program_state.name == "STOPPED", timeout=60.0)
+        robot.realtime.wait_until(lambda state: state.program_state is ProgramState.STOPPED, timeout=60.0)
 
 
 def test_action_after_pause_needs_restart_after_pause(make: Callable[..., UR], controller: Controller) -> None:
@@ -146,7 +147,7 @@ def test_action_after_pause_needs_restart_after_pause(make: Callable[..., UR], c
 
 
 def test_action_of_interrupted_process_does_not_restart(
-    make: Callable[..., UR], monkeypatch: pytest.MonkeyPatch
+    make: Callable[..., UR], controller: Controller, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Interrupted(urlink.Expiry):
         """Expiry that has noticed an interruption."""

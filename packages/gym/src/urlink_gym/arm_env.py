@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -96,7 +96,7 @@ class ArmEnv(gymnasium.Env[Observation, Numbers32]):
         LinkError: If the robot cannot be reached.
     """
 
-    metadata = {"render_modes": []}  # noqa: RUF012  (an attribute of the base class)
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
 
     def __init__(
         self,
@@ -320,7 +320,8 @@ class ArmEnv(gymnasium.Env[Observation, Numbers32]):
             return np.array(six(given, "home"))
         if not self._spread:
             return self._home
-        return self._home + self.np_random.uniform(-self._spread, self._spread, 6)
+        away: Floats = self.np_random.uniform(-self._spread, self._spread, 6)
+        return self._home + away
 
     def _move_home(self, home: Floats) -> None:
         for halving in range(_HALVED + 1):
@@ -369,7 +370,7 @@ class ArmEnv(gymnasium.Env[Observation, Numbers32]):
         """Send a target, and return the executed action and the reason why the arm kept its target, or ""."""
         servo, commanded = self._block, self._commanded
         assert isinstance(servo, urlink.motion.Servo)
-        clipped = np.clip(numbers, self.action_space.low, self.action_space.high)  # type: ignore[attr-defined]
+        clipped = np.clip(numbers, self.action_space.low, self.action_space.high)
         arm = clipped[: self.actions.space.shape[0]]
         if self._has_gripper:
             self._move_fingers(float(clipped[-1]))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -176,7 +176,7 @@ class ChunkFollower:
             self.late += 1
         return begins, rows
 
-    def _planned(self, times: Floats) -> Floats:
+    def _planned(self, times: NDArray[np.floating[Any]]) -> Floats:
         """Return the planned positions at times on the clock of the stream, shape (n, 6)."""
         own = self._since + self._period * np.arange(len(self._plan))
         return np.stack([np.interp(times, own, column) for column in self._plan.T], axis=1)
