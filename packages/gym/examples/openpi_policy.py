@@ -37,7 +37,7 @@ def camera(name: str) -> np.ndarray:
 
 
 def within(seconds: float, what: str, call: Callable[[], Any]) -> Any:
-    """Return the result of a call that has no timeout of its own.
+    """Return the result of a call that has no timeout.
 
     Raises:
         urlink.LinkTimeout: If it takes longer than `seconds`.

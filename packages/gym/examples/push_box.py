@@ -1,4 +1,4 @@
-"""Push a box over a table in MuJoCo: a task of your own, with an observation and a reward.
+"""Push a box over a table in MuJoCo. The task of this example has an observation and a reward.
 
 A simple law moves the tool against the box until the box is at its goal. Replace `law` with your policy.
 
@@ -20,7 +20,7 @@ from urlink.arm.kinematics import Arm
 SCENE = Path(__file__).with_name("box.xml")
 #: Goal of the box along y, and the distance at which the episode is solved, in m.
 GOAL, TOLERANCE = 0.2, 0.01
-#: The tool points down, beside the box. The gripper is 0.145 m long.
+#: The tool points down, next to the box. The gripper is 0.145 m long.
 TCP = (0.0, 0.0, 0.145, 0.0, 0.0, 0.0)
 START = Arm("UR5e").inverse((-0.45, -0.1, 0.06, np.pi, 0.0, 0.0), urlink_gym.arm_env.HOME, TCP)
 

@@ -62,7 +62,7 @@ class ArmEnv(gymnasium.Env[Observation, Numbers32]):
     An action that would exceed a limit of the session, or that the tool cannot reach, is not executed: the arm keeps
     its target, and `info["blocked"]` names the reason. If the robot stops, the connection is lost, or the session is
     closed, the episode ends with `truncated`, the arm is stopped, and `info["error"]` describes the cause. The next
-    `reset` raises an error while the cause persists. An exception of your own functions stops the arm, too.
+    `reset` raises an error while the cause persists. An exception of your task or intervention also stops the arm.
 
     Args:
         robot: Address for `urlink.connect`, or a connected `Robot`, which `close` leaves open.

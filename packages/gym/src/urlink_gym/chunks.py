@@ -28,7 +28,7 @@ __all__ = ["ChunkFollower", "Moment"]
 
 Floats = NDArray[np.float64]
 
-#: Number of latencies of which the longest one decides.
+#: Number of latencies that count. The longest of them decides.
 _REMEMBERED = 10
 #: Time in s that is added to a latency, because the new points have to reach the robot before they take effect.
 _SENDING = 0.03
@@ -46,13 +46,14 @@ class Moment:
         frozen: Number of steps from this moment on that the arm takes from the previous chunk.
         planned: Rest of the previous chunk, shape (n, 6), in rad: row k is for the time `time` + k periods. The first
             `frozen` rows will be executed. Empty if the arm is at rest.
+        at: Time of this moment on the clock `linkcore.clock.now()`, in s.
     """
 
     state: RealtimeState
     time: float
     frozen: int
     planned: Floats
-    _at: float
+    at: float
 
 
 class ChunkFollower:
@@ -151,7 +152,7 @@ class ChunkFollower:
             SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: If the arm was stopped.
             LocalError: If called outside the ``with`` block.
         """
-        self._latencies.append(clock.now() - moment._at)
+        self._latencies.append(clock.now() - moment.at)
         try:
             rows: Floats = np.asarray(chunk, np.float64)
         except (TypeError, ValueError):
@@ -182,7 +183,7 @@ class ChunkFollower:
         return np.stack([np.interp(times, own, column) for column in self._plan.T], axis=1)
 
     def _limited(self, rows: Floats, moment: Moment) -> Floats:
-        """Replace the frozen steps by those of the plan, and limit the change from each step to the next."""
+        """Replace the frozen steps by the planned steps, and limit the change from each step to the next."""
         limited = rows.copy()
         limited[: moment.frozen] = moment.planned[: moment.frozen]
         before = moment.planned[moment.frozen - 1] if moment.frozen else moment.state.q_target

@@ -1,4 +1,4 @@
-"""Tasks: what an environment rewards, when an episode is solved, and what it observes in addition to the arm."""
+"""Tasks: rewards, the end of an episode, and additional observations."""
 
 from __future__ import annotations
 
