@@ -13,7 +13,7 @@ from urlink import BadValue, Unreachable
 from urlink.arm import poses
 from urlink.arm.kinematics import Arm
 
-__all__ = ["KINDS", "Actions", "Blocked", "Steps"]
+__all__ = ["KINDS", "Actions", "Blocked", "Steps", "within"]
 
 Floats = NDArray[np.float64]
 Numbers32 = NDArray[np.float32]
@@ -34,6 +34,11 @@ class Blocked(Exception):
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
         self.reason = reason
+
+
+def within(numbers: Floats, low: Floats | float, high: Floats | float) -> Floats:
+    """Return the numbers, clipped to the bounds, without the overhead of `numpy.clip`."""
+    return np.minimum(np.maximum(numbers, low), high)
 
 
 @dataclass(frozen=True)
@@ -100,6 +105,9 @@ class Actions:
             self.space = Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
         else:
             self.space = Box(-1.0, 1.0, (KINDS[kind],), np.float32)
+        #: bounds of the space with the type of the numbers, because conversions take time in each step
+        self._least: Floats = self.space.low.astype(np.float64)
+        self._most: Floats = self.space.high.astype(np.float64)
 
     def target(self, numbers: Floats, commanded: Floats) -> tuple[Floats, Numbers32]:
         """Return the joint positions to which an action moves the target, and the action that this motion is.
@@ -118,9 +126,8 @@ class Actions:
         """
         if self.kind in ("joints", "joint_deltas"):
             away = numbers - commanded if self.kind == "joints" else self._scale * numbers
-            joints: Floats = np.clip(
-                commanded + np.clip(away, -self._steps.joint, self._steps.joint), self._low, self._high
-            )
+            away = within(away, -self._steps.joint, self._steps.joint)
+            joints = within(commanded + away, self._low, self._high)
             done = joints if self.kind == "joints" else (joints - commanded) / self._scale
             return joints, self._within(done)
         pose = self._arm.forward(commanded, self.tcp)
@@ -129,7 +136,7 @@ class Actions:
         if self._corners is not None:
             # A tool that is outside, for example after it was guided by hand, may come back, but not move further out.
             low, high = self._corners
-            moved = np.clip(moved, np.minimum(low, pose[:3]), np.maximum(high, pose[:3]))
+            moved = within(moved, np.minimum(low, pose[:3]), np.maximum(high, pose[:3]))
         turned = pose[3:]
         if self.kind == "pose_deltas" and change[3:].any():
             turned = poses.compose((0.0, 0.0, 0.0, *change[3:]), (0.0, 0.0, 0.0, *pose[3:]))[3:]
@@ -143,7 +150,7 @@ class Actions:
         return q, self._within(change / self._scale)
 
     def _within(self, numbers: Floats) -> Numbers32:
-        clipped: Numbers32 = np.clip(numbers, self.space.low, self.space.high).astype(np.float32)
+        clipped: Numbers32 = within(numbers, self._least, self._most).astype(np.float32)
         return clipped
 
     def between(self, q: Floats, pose: Floats, later_q: Floats, later_pose: Floats) -> Numbers32:

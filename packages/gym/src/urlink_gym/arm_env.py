@@ -24,7 +24,7 @@ from urlink.arm import poses
 from urlink.packets import RealtimeState
 from urlink.tools import shown_tcp, six
 
-from .actions import Actions, Blocked, Steps
+from .actions import Actions, Blocked, Steps, within
 from .tasks import Task
 
 __all__ = ["ArmEnv", "Observation"]
@@ -157,6 +157,7 @@ class ArmEnv(gymnasium.Env[Observation, Numbers32]):
                 if gripper
                 else self.actions.space
             )
+            self._bounds = self.action_space.low.astype(np.float64), self.action_space.high.astype(np.float64)
             self.observation_space = Dict(self._spaces())
         except BaseException:
             self.close()
@@ -370,8 +371,8 @@ class ArmEnv(gymnasium.Env[Observation, Numbers32]):
         """Send a target, and return the executed action and the reason why the arm kept its target, or ""."""
         servo, commanded = self._block, self._commanded
         assert isinstance(servo, urlink.motion.Servo)
-        clipped = np.clip(numbers, self.action_space.low, self.action_space.high)
-        arm = clipped[: self.actions.space.shape[0]]
+        clipped = within(numbers, *self._bounds)
+        arm = clipped[:-1] if self._has_gripper else clipped
         if self._has_gripper:
             self._move_fingers(float(clipped[-1]))
         try:
