@@ -173,6 +173,7 @@ PACKAGES: dict[str, tuple[str, ...]] = {
     "mujoco": (UR_RTDE,),
     "mqtt": (),
     "opcua": (),
+    "mcp": (),
     "files": (),
     "gym": ("./packages/mujoco", "openpi-client==0.1.2; python_version < '3.13'"),
     "prometheus": (),

@@ -50,7 +50,7 @@ THREADS = {
     "urlink.simulator.server",  # one for each simulated controller
     "urlink.simulator.control_loop",  # advances the time of a stepped controller within a block
     "urlink.simulator.programs.loader",  # one at a time, for a long program
-    "rhdlink.sync_thread",  # keeps a robot in sync
+    "rhdlink.sync.sync_thread",  # keeps a robot in sync
     "linkcore.recording.index",  # several, while a long recording is checked
     "linkcore.simulated.primitives",  # threads that a program starts while time is simulated
     "linkcore.event_loop",  # makes blocking calls for one robot of a program that uses asyncio

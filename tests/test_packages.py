@@ -35,6 +35,9 @@ MIDDLEWARES = {
     "asyncssh",
     "torch",
     "fastapi",
+    "mcp",
+    "mcp_types",
+    "pydantic",
     "uvicorn",
 }
 

@@ -29,7 +29,7 @@ from .client import connect as connect_here
 if TYPE_CHECKING:
     from typing_extensions import Self, Unpack
 
-    from .replica import Unsent
+    from .sync.replica import Unsent
     from .wire.decoder import Limits
 
 

@@ -25,16 +25,17 @@ from linkcore.text import similar
 from linkcore.threads import Closing, ReentrantEvent, alone
 
 from .address import MqttAddress, is_mqtt, parse_address, parse_mqtt_address
-from .connection import Connection, Transport
 from .errors import AccessDenied, NotThere
 from .recording import RecordedTransport
-from .replica import Replica, Unsent
-from .sync_thread import Subscribers, SyncThread
+from .sync.connection import Connection
+from .sync.replica import Replica, Unsent
+from .sync.sync_thread import Subscribers, SyncThread
 from .variables.database import TimeStamp, database_of
 from .variables.declarations import Declaration, Declarations, bind, refuse_hiding
 from .variables.snapshot import Update, Variable, to_html
 from .wire.decoder import Limits
 from .wire.schema import WIDTHS
+from .wire.transport import Transport
 
 _log = logging.getLogger(__name__)
 
@@ -108,7 +109,7 @@ def connect(
     robot = cast("R", Variables()) if variables is None else variables()
     transport: Transport
     if isinstance(place, MqttAddress):
-        from .mqtt.transport import MqttTransport  # only here: most programs need no host
+        from .mqtt.mqtt_transport import MqttTransport  # only here: most programs need no host
 
         transport = MqttTransport(place, access=access, fallback=fallback, width=width, silence=timeout)
     else:

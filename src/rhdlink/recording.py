@@ -16,10 +16,10 @@ from linkcore.errors import BadRecording, Closed
 from linkcore.recording.file import Kind, Progress, Record, RecordingFile, RecordingWriter
 from linkcore.streaming.connection_life import Chunk, ConnectionEvent, ConnectionState
 
-from .connection import Transport
 from .variables.database import Database, VariableTable, database_of
 from .variables.snapshot import Update, changes_in
 from .wire.decoder import ServerDecoder
+from .wire.transport import Transport
 
 _log = logging.getLogger(__name__)
 

@@ -79,6 +79,11 @@ if TYPE_CHECKING:
         StatementDiscarded as StatementDiscarded,
         ToleranceExceeded as ToleranceExceeded,
     )
+    from .errors.stop_explanation import (
+        StopCause as StopCause,
+        StopCurves as StopCurves,
+        StopExplanation as StopExplanation,
+    )
     from .protocol.firmware import Firmware as Firmware
     from .group import Group as Group
     from .protocol.dashboard.client import Dashboard as Dashboard
@@ -102,7 +107,6 @@ if TYPE_CHECKING:
     from .packets import RealtimeState as RealtimeState, RobotModeData as RobotModeData
     from .robot import Robot as Robot, connect as connect
     from .session.session_limits import SessionLimits as SessionLimits
-    from .stop_explanation import StopCause as StopCause, StopCurves as StopCurves, StopExplanation as StopExplanation
 
 else:
     __getattr__, __dir__, __all__ = lazy_names(
@@ -156,9 +160,9 @@ else:
             ".packets": "RealtimeState RobotModeData",
             ".robot": "Robot connect",
             ".session.session_limits": "SessionLimits",
-            ".stop_explanation": "StopCause StopCurves StopExplanation",
+            ".errors.stop_explanation": "StopCause StopCurves StopExplanation",
         },
         modules="arm.dynamics arm.kinematics arm.models motion packets arm.poses rtde arm.urdf",
-        foreign=".foreign_names",
+        foreign=".errors.foreign_names",
         packages={"compat": "urlink-compat"},
     )

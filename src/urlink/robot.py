@@ -324,6 +324,11 @@ class Robot(StrictAttributes, Closing):
         return self._who.identity
 
     @property
+    def limits(self) -> SessionLimits | None:
+        """Limits of this session that were passed to `connect` as ``limits=``; None if there are none."""
+        return self._limits
+
+    @property
     def kinematics(self) -> Arm:
         """Forward and inverse kinematics of this individual arm, in the base frame of the controller.
 

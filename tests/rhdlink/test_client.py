@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import rhdlink
-import rhdlink.connection
+import rhdlink.sync.connection
 from linkcore.errors import (
     BadAddress,
     BadValue,
@@ -40,10 +40,10 @@ from rhdlink import (
     WrongVariables,
 )
 from rhdlink.address import Address, parse_address
-from rhdlink.connection import Connection
 from rhdlink.host.plugins.turtle import Turtle
-from rhdlink.replica import Replica
-from rhdlink.sync_thread import Subscribers
+from rhdlink.sync.connection import Connection
+from rhdlink.sync.replica import Replica
+from rhdlink.sync.sync_thread import Subscribers
 from rhdlink.variables.database import Database, TimeStamp
 from rhdlink.wire.decoder import ServerDecoder
 from rhdlink.wire.messages import SymbolRow
@@ -279,7 +279,7 @@ def test_unsolicited_batch_is_not_taken_as_the_reply(
         settle(link, period, end)
 
     monkeypatch.setattr(Connection, "settle", settle_slowly)
-    monkeypatch.setattr(rhdlink.connection, "_MOST_UNSOLICITED_WAIT", 10.0)  # enough for a slow machine
+    monkeypatch.setattr(rhdlink.sync.connection, "_MOST_UNSOLICITED_WAIT", 10.0)  # enough for a slow machine
 
     def script(peer: Peer) -> None:
         side.greet(peer)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-import rhdlink.connection
+import rhdlink.sync.connection
 from linkcore.clock import Stamp
 from linkcore.errors import LinkTimeout
-from rhdlink.connection import Connection
+from rhdlink.sync.connection import Connection
 from rhdlink.variables.database import Database
 from rhdlink.wire.messages import Batch, SymbolRow
 from tests.fakes.clock import Clock
@@ -25,7 +25,7 @@ class Wire:
         self.clock = Clock(0.0)
         self.coming: list[tuple[float, bytes]] = [(0.0, HANDSHAKE)]
         self.requests = 0
-        self.clock.replace(rhdlink.connection, monkeypatch)
+        self.clock.replace(rhdlink.sync.connection, monkeypatch)
 
     def open(self, timeout: float) -> None: ...
 

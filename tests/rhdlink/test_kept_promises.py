@@ -16,8 +16,8 @@ from linkcore import clock
 from linkcore.streaming.connection_life import ConnectionState
 from linkcore.streaming.packet_queue import PacketQueue, drop_oldest
 from rhdlink.host.plugins.turtle import Turtle
-from rhdlink.replica import Replica
-from rhdlink.sync_thread import Subscribers
+from rhdlink.sync.replica import Replica
+from rhdlink.sync.sync_thread import Subscribers
 from rhdlink.variables.database import Database
 from rhdlink.wire.messages import Batch, SymbolRow
 from tests.contended import Contended, beside

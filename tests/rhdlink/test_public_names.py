@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import rhdlink
+import rhdlink.sync.sync_thread
 from rhdlink.host.plugins.logger import Logger
 from rhdlink.host.plugins.turtle import SmrTurtle, Turtle
 from rhdlink.host.plugins.velocity import VelocityBridge
@@ -117,7 +118,7 @@ VALUE_TYPE = "length pack pack_many packer reader unit unpack unpack_many"
 SURFACES: list[tuple[object, str]] = [
     (rhdlink.Variables, VARIABLES),
     (rhdlink.robots.Smr, f"{VARIABLES} {' '.join(rhdlink.robots.Smr.declared())}"),
-    (rhdlink.sync_thread.SyncThread, "close is_running"),
+    (rhdlink.sync.sync_thread.SyncThread, "close is_running"),
     (rhdlink.variables.Update, ""),
     (rhdlink.Host, "address close from_config plugins port run start stats stop wait writers"),
     (rhdlink.Plugin, PLUGIN),

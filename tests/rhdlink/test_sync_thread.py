@@ -14,7 +14,7 @@ import rhdlink
 from linkcore.errors import BadValue, ConnectionLost, LocalError
 from linkcore.simulated import Simulation
 from rhdlink import Backoff, Int32, Read, Variables
-from rhdlink.sync_thread import SyncThread
+from rhdlink.sync.sync_thread import SyncThread
 from rhdlink.variables import Update
 from tests.fakes.rhd import Peer, Robot, ScriptedServer, endless
 from tests.waiting import until

@@ -10,7 +10,8 @@ import pytest
 import urlink
 from linkcore.errors import LinkError, LocalError
 from linkcore.names import StrictAttributes
-from urlink.foreign_names import _OWN, _ROWS, own_name
+from urlink.errors.foreign_names import _OWN, own_name
+from urlink.protocol.field_names import QUANTITIES
 from urlink.protocol.primary.robot_state import SUB_PACKAGES, snake_case
 from urlink.protocol.rtde.variables import OUTPUTS
 from urlink.simulator import Controller, Still
@@ -152,12 +153,12 @@ def test_advice_names_existing_attributes(robot: Any) -> None:
 
 def test_quantities_have_the_listed_names_on_each_interface() -> None:
     parts = {snake_case(kind.__name__): kind for kinds in SUB_PACKAGES.values() for kind in kinds}
-    for realtime, rtde, primary in _ROWS:
-        assert realtime in urlink.RealtimeState.FIELDS, f"{realtime}: not real-time; correct it in foreign_names.py"
-        assert rtde in OUTPUTS, f"{rtde}: not a variable of RTDE; correct it in foreign_names.py"
+    for realtime, rtde, primary in QUANTITIES:
+        assert realtime in urlink.RealtimeState.FIELDS, f"{realtime}: not real-time; correct it in field_names.py"
+        assert rtde in OUTPUTS, f"{rtde}: not a variable of RTDE; correct it in field_names.py"
         if primary != "-":
             part, _, field = primary.partition(".")
-            assert field in parts[part].FIELDS, f"{primary}: not a field; correct it in foreign_names.py"
+            assert field in parts[part].FIELDS, f"{primary}: not a field; correct it in field_names.py"
 
 
 @pytest.mark.simulated_time

@@ -147,8 +147,8 @@ HANDLE = "add_done_callback cancel done error name phase wait"
 #: Attributes and methods of the objects that users hold, as tab completion shows them.
 SURFACES = {
     "robot": """address clock close controller dashboard firmware freedrive gripper identity interpreter io kinematics
-        measure_payload measure_payload_by_hand model motion points popup primary realtime record registers rtde safety
-        script secondary set_gravity set_payload set_speed_slider set_tcp teach tool_serial view wrench
+        limits measure_payload measure_payload_by_hand model motion points popup primary realtime record registers rtde
+        safety script secondary set_gravity set_payload set_speed_slider set_tcp teach tool_serial view wrench
         zero_force_sensor""",
     "robot.tool_serial": "ask close discard read write",
     "robot.gripper": """activate close deactivate get move object_detected open position position_of set status stop
@@ -207,7 +207,7 @@ SURFACES = {
 #: Attributes and methods of an asyncio robot and its parts.
 ASYNC_SURFACES = {
     "robot": """address call clock close controller dashboard firmware freedrive gripper identify identity interpreter
-        io kinematics measure_payload measure_payload_by_hand model motion points popup primary realtime record
+        io kinematics limits measure_payload measure_payload_by_hand model motion points popup primary realtime record
         registers rtde safety script secondary set_gravity set_payload set_speed_slider set_tcp teach tool_serial view
         wrench zero_force_sensor""",
     "robot.realtime": """close connection description failure history iterate join latest name of plot start

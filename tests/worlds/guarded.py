@@ -20,7 +20,7 @@ from linkcore.streaming.packet_queue import BoundedQueue
 from linkcore.streaming.silence import SilenceMonitor
 from linkcore.streaming.subscription import InlineDelivery
 from rhdlink.drive import _Motions
-from rhdlink.replica import Replica
+from rhdlink.sync.replica import Replica
 from urlink.motion.servo.jog import _Holding
 from urlink.motion.stream.common_time import CommonPace, CommonTime
 from urlink.rtde.client import Rtde

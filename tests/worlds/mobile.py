@@ -21,7 +21,7 @@ from linkcore.simulated import Computer, Simulation
 from rhdlink.client import Variables
 from rhdlink.drive import Drive
 from rhdlink.host.plugins.turtle import SmrTurtle, Turtle
-from rhdlink.sync_thread import SyncThread
+from rhdlink.sync.sync_thread import SyncThread
 
 from .surface import Drawing, public_methods
 from .world import Ask

@@ -60,7 +60,7 @@ PARTS: Mapping[str, type] = {
     "secondary": Stream,
 }
 #: Attributes of a robot that have no methods to try: values, the simulator itself, and the points, which need a file.
-VALUES = {"clock", "controller", "firmware", "identity", "kinematics", "model", "points"}
+VALUES = {"clock", "controller", "firmware", "identity", "kinematics", "limits", "model", "points"}
 #: Class of the entered block, by the action that opens it.
 BLOCKS: Mapping[str, type] = {
     "motion.servo": Servo,

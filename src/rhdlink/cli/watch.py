@@ -13,7 +13,7 @@ from linkcore.streaming.packet_queue import PacketQueue, drop_oldest
 from linkcore.text import strict_json
 
 from ..client import Variables
-from ..sync_thread import SyncThread
+from ..sync.sync_thread import SyncThread
 from ..variables.snapshot import Update
 from .options import ADDRESS, connected, tell
 from .variable_text import check_names, update_as_json

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from ..arm.vectors import Numbers
     from ..command.interpreter import Interpreter
     from ..motion.teaching import Teaching
+    from ..session.session_limits import SessionLimits
     from ..simulator import Controller
     from .parts import (
         AsyncDashboard,
@@ -151,6 +152,11 @@ class AsyncRobot(AwaitedPart[threaded.Robot]):
     def model(self) -> str | None:
         """Name of the arm, such as "UR5e"; None if the controller does not report it. See `identity`."""
         return self.identity.model
+
+    @property
+    def limits(self) -> SessionLimits | None:
+        """Limits of this session; see `Robot.limits`."""
+        return self._part.limits
 
     @property
     def kinematics(self) -> Arm:

@@ -10,7 +10,7 @@ from linkcore.cli.progress import ProgressBar
 from linkcore.errors import BadValue
 from linkcore.text import printable, strict_json
 
-from ..stop_explanation import StopExplanation
+from ..errors.stop_explanation import StopExplanation
 from .options import tell
 
 

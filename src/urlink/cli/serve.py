@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import re
+import threading
 from collections.abc import Iterable, Mapping
 from typing import Protocol, get_args
 
@@ -29,6 +30,7 @@ _DISTRIBUTIONS = {
     "ros2": ("urlink-ros2", "a ROS 2 node with topics, services and FollowJointTrajectory"),
     "mqtt": ("urlink-mqtt", "an MQTT broker: status as retained JSON, and commands if allowed"),
     "opcua": ("urlink-opcua", "an OPC UA server: state and registers as variables, methods for programs"),
+    "mcp": ("urlink-mcp", "an MCP server for agents: state and stops explained, and motions that a person allows"),
     "prometheus": ("urlink-prometheus", "metrics at an HTTP port: streams, safety, temperatures, programs"),
 }
 
@@ -44,7 +46,11 @@ class Adapter(Protocol):
         """Declare the options of this adapter."""
 
     def serve(self, robots: Mapping[str, Robot], args: argparse.Namespace) -> contextlib.AbstractContextManager[object]:
-        """Serve the robots under their names while the context is open. Do not close the robots."""
+        """Serve the robots under their names while the context is open. Do not close the robots.
+
+        If the context returns a `threading.Event`, `urlink serve` ends when the event is set. If the options contain
+        `points`, the robots are connected with this file of points.
+        """
 
 
 #: Options of every adapter: the robots, and the connection to them.
@@ -118,17 +124,18 @@ def run(args: argparse.Namespace) -> int:
                     address,
                     read_only=options.read_only,
                     require_enable=options.require_enable,
+                    points=getattr(options, "points", None),
                 )
             )
             for name, address in addresses.items()
         }
         with ProgressBar(f"starting {args.kind}", args.quiet):
-            stack.enter_context(adapter.serve(robots, options))
+            ended = stack.enter_context(adapter.serve(robots, options))
         interruption.end_after(options.duration)
         for name, robot in robots.items():
             tell(f"{name}: {robot.model or 'an arm'}, firmware {robot.firmware}, at {robot.address}")
         print(f"serving {', '.join(robots)} over {args.kind}; Ctrl-C ends it", flush=True)
-        while not interruption.wait(1.0):
+        while not interruption.wait(0.2) and not (isinstance(ended, threading.Event) and ended.is_set()):
             pass
     return interruption.status
 

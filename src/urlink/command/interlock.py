@@ -16,7 +16,7 @@ from ..protocol.enums import MasterSafetyState, RobotMode, RobotModeCB2, SafetyM
 from ..session.connect_options import STALE_AFTER, Policy
 
 if TYPE_CHECKING:
-    from ..diagnosis.flight import FlightRecorder
+    from .flight_recorder import FlightRecorder
 
 _MAY_MOVE = (SafetyMode.NORMAL, SafetyMode.REDUCED)
 _CB2_STOPS = {

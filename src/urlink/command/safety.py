@@ -8,9 +8,9 @@ from linkcore.arguments import check_callable, check_number
 from linkcore.errors import Closed, LinkError, LinkTimeout
 from linkcore.names import StrictAttributes
 
+from ..errors.stop_explanation import StopExplanation
 from ..protocol.enums import RobotMode, RobotModeCB2, SafetyMode
 from ..session.connect_options import Policy
-from ..stop_explanation import StopExplanation
 from .interlock import Interlock, Status
 from .safety_monitor import SafetyMonitor
 

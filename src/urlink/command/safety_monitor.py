@@ -26,7 +26,7 @@ from .interlock import Interlock, Status, raise_if
 from .section import Section
 
 if TYPE_CHECKING:
-    from ..diagnosis.flight import FlightRecorder
+    from .flight_recorder import FlightRecorder
 
 #: Timeout for the first state of an interface, in seconds.
 _FIRST_REPORT = 2.0

@@ -12,7 +12,7 @@ from linkcore.recording.table import Table
 
 from ..arm.models import MODELS
 from ..arm.vectors import FloatArray
-from ..foreign_names import name_on
+from ..protocol.field_names import name_on
 from ..protocol.primary.robot_message import KeyMessage, RobotCommMessage
 from .stop_record import COLUMNS, Key, Report, StopRecord
 

@@ -26,10 +26,10 @@ from ..arm.kinematics import Arm
 from ..arm.models import MODELS, Model
 from ..arm.motors import motors_of
 from ..arm.vectors import JOINTS, FloatArray
+from ..errors.stop_explanation import StopCause, StopCurves, StopExplanation
 from ..protocol.enums import SafetyMode
 from ..script.links import STOP, WAIT
 from ..script.messages import MESSAGE_SIZE, read_message
-from ..stop_explanation import StopCause, StopCurves, StopExplanation
 from .codes import Code, code_of
 from .stop_record import Key, Report, StopMoment, StopRecord
 

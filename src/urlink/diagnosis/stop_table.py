@@ -13,7 +13,7 @@ from linkcore.recording.text_table import read_text_table
 
 from ..arm.models import Model
 from ..arm.vectors import FloatArray
-from ..foreign_names import name_on
+from ..protocol.field_names import name_on
 from .stop_record import StopRecord
 
 #: Suffixes of tables.

@@ -15,6 +15,7 @@ from linkcore.threads import CallbackThread, MadeOnce
 from linkcore.wire.fields import Since
 
 from ..command.channel import CommandChannel
+from ..command.flight_recorder import FlightRecorder
 from ..command.interlock import Interlock
 from ..command.interpreter import Interpreters
 from ..command.io import IO
@@ -24,7 +25,6 @@ from ..command.safety_monitor import SafetyMonitor
 from ..command.scripts import Scripts
 from ..command.section import Section
 from ..command.settings import SettingChannel, Settings
-from ..diagnosis.flight import FlightRecorder
 from ..protocol.dashboard.client import Dashboard
 from ..protocol.gripper.client import Gripper
 from ..protocol.ports import PORTS

@@ -16,6 +16,7 @@ import numpy as np
 
 from linkcore.errors import LocalError
 
+from ..arm.parameters import number
 from ..arm.vectors import JOINTS, FloatArray
 from ..errors import LimitExceeded
 from ..protocol.realtime.packets import RealtimeState
@@ -39,6 +40,11 @@ _TOOL_STEP, _TOOL_TURN, _FURTHEST, _MOST_TURN = 0.02, 0.05, 25.0, 4.0 * math.pi
 _LEAP = 0.5
 #: Number of cycles by which a message or the end of a program can take effect later than predicted.
 LATE = 4
+#: Time in s by which the start of a program stretches the time of a speed, while the speed scaling rises from 0 to 1.
+RAMP = 0.5 / number("start_rate")
+#: If the acceleration of a trajectory rises within the first of these times in s, servoj exceeds the speed by this rise
+#: in rad/s², times the factor in s. Both are chosen from the simulator (assumption).
+_OVERSHOOTS, _OVERSHOOT = (0.15, 0.1, 0.05, 0.0), 0.025
 #: Delays in s after which a new program can take over from a motion at a speed.
 DELAYS = (0.0, 0.05, 0.1)
 #: Deceleration with which the program of a servo brakes at its end (`urlink.script.links.BRAKE`), in rad/s², and
@@ -210,13 +216,10 @@ class LimitedArm:
             speeds = [self.qd, self.qd]
             times = [0.0, delay]
             rise = float(np.abs(qd - self.qd).max()) / acceleration
-            if self.is_moving:
-                # The arm might still accelerate by an earlier command until the new one takes over.
-                seconds = max(seconds, min(rise, seconds + max(delays)))
-            reached = qd if rise <= seconds else self.qd + (qd - self.qd) * seconds / rise
-            speeds += [reached, reached, np.zeros(6)]
-            held = max(seconds - rise, 0.0)
-            times += [min(rise, seconds), held, float(np.abs(reached).max()) / acceleration]
+            # A short command counts as having time to reach the whole speed. The controller stretches the time of a
+            # speed while the speed scaling is low, such as at the start of a program, but not the acceleration.
+            speeds += [qd, qd, np.zeros(6)]
+            times += [rise, max(seconds - rise, 0.0), float(np.abs(qd).max()) / acceleration]
             q, rows, rates = self.q, [self.q], [self.qd]
             for first, last, length in zip(speeds, speeds[1:], times[1:], strict=False):
                 n = _count(float(np.abs(first).sum() + np.abs(last).sum()) * length / STEP, 2)
@@ -270,11 +273,9 @@ class LimitedArm:
         line, turn = (
             max(float(np.linalg.norm(each[part])) for each in (xd, velocity)) for part in (slice(0, 3), slice(3, 6))
         )
-        if self.is_moving:
-            change = xd - velocity
-            rise = max(float(np.linalg.norm(change[:3])), float(np.linalg.norm(change[3:]))) / acceleration
-            # The arm might still accelerate by an earlier command until the new one takes over.
-            seconds = max(seconds, min(rise, seconds + DELAYS[-1]))
+        change = xd - velocity
+        # For the time to reach the whole speed, see `check_joint_speed`.
+        seconds = max(seconds, max(float(np.linalg.norm(change[:3])), float(np.linalg.norm(change[3:]))) / acceleration)
         total = delay + seconds + max(line, turn) / braking
         if line * total > _FURTHEST or turn * total > _MOST_TURN:
             raise LimitExceeded(
@@ -343,9 +344,15 @@ class LimitedArm:
     def check_trajectory(self, trajectory: JointCurve) -> None:
         """Check a trajectory that begins close to the position of the arm."""
         offset = self.q - trajectory.q[0]
-        self.check_curve(
-            lambda t: trajectory.at(t)[:2], trajectory.time, offset if np.abs(offset).max() < 0.5 else None
-        )
+
+        def followed(t: FloatArray) -> tuple[FloatArray, FloatArray]:
+            q, qd, _ = trajectory.at(t)
+            # Accelerations of the last _OVERSHOOTS in the direction of the motion, the oldest one first.
+            recent = [np.sign(qd) * trajectory.at(t - lag)[2] for lag in _OVERSHOOTS]
+            overshoot = _OVERSHOOT * np.maximum(np.max(recent, axis=0) - recent[0], 0.0)
+            return q, qd + np.sign(qd) * overshoot
+
+        self.check_curve(followed, trajectory.time, offset if np.abs(offset).max() < 0.5 else None)
 
     def check_contact(self, direction: FloatArray, speed: float, acceleration: float, distance: float) -> None:
         """Check a straight motion until a contact, over its whole distance, and braking at its end.

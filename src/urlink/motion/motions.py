@@ -24,7 +24,7 @@ from ..protocol.realtime.packets import RealtimeState
 from ..script import commands, force_control
 from ..script.wrapping import HAS_REGISTERS
 from .context import MotionContext
-from .limited import DELAYS, LATE, LimitedArm, evenly_timed
+from .limited import DELAYS, LATE, RAMP, LimitedArm, evenly_timed
 from .links.register_link import RegisterPort
 from .moves.path import Circular, Linear, PathMotion, Rates, Waypoint, check_tool_way, plan, shown_tcp, way_to
 from .moves.speed_limit import check_joint_speeds, largest_speeds
@@ -928,7 +928,7 @@ class Motions(StrictAttributes):
         assert limited is not None
         limited.is_moving = limited.is_moving or self.current is not None
         limited.check_inside()
-        seconds = duration + LATE * limited.cycle
+        seconds = duration + LATE * limited.cycle + RAMP
         if name == "speed_linear":
             limited.check_tool_speed(speeds, acceleration, seconds, delays=DELAYS)
         else:

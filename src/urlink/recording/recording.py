@@ -25,7 +25,8 @@ from linkcore.wire.framing import PacketProtocol
 from linkcore.wire.packet import State
 
 from ..arm.kinematics import Arm
-from ..foreign_names import name_on
+from ..errors.stop_explanation import StopExplanation
+from ..protocol.field_names import name_on
 from ..protocol.firmware import Firmware
 from ..protocol.primary.protocol import STATE_PERIODS, PrimaryProtocol
 from ..protocol.primary.robot_message import RobotMessage
@@ -36,7 +37,6 @@ from ..protocol.rtde.protocol import CLOCK, RtdeProtocol, package_periods
 from ..protocol.rtde.recipes import Outputs
 from ..rtde.outputs import recorded_plan
 from ..session.identity import described_identity
-from ..stop_explanation import StopExplanation
 from .robot_state_table import RobotStates
 from .ros_messages import description_topic, log_topic, topics_of
 

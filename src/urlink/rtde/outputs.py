@@ -14,7 +14,7 @@ from linkcore.streaming.fanout import FanOut
 from linkcore.streaming.stream import Stream
 from linkcore.threads import Closing
 
-from ..foreign_names import name_on
+from ..protocol.field_names import name_on
 from ..protocol.firmware import Firmware
 from ..protocol.rtde.packets import REPLIES
 from ..protocol.rtde.protocol import Requests, RtdeProtocol, check_names

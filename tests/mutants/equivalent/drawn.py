@@ -88,14 +88,14 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "only the order differs in which two errors of one path are reported",
     ),
     Equivalent(
-        "rhdlink/sync_thread.py",
+        "rhdlink/sync/sync_thread.py",
         "subscribe",
         "check_callable(callback, 'callback'); check_policy(policy)",
         "swapped",
         "only the order differs in which two wrong arguments are reported",
     ),
     Equivalent(
-        "rhdlink/sync_thread.py",
+        "rhdlink/sync/sync_thread.py",
         "_sync_until_closed",
         "self.syncs += 1; waits = self._backoff.waits()",
         "swapped",
@@ -298,7 +298,7 @@ EQUIVALENT: tuple[Equivalent, ...] = (
         "the next line makes a new list",
     ),
     Equivalent(
-        "rhdlink/replica.py",
+        "rhdlink/sync/replica.py",
         "apply",
         "self._is_new_round = False; self.database.read.begin_round()",
         "swapped",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import importlib.metadata
+import threading
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -56,12 +57,13 @@ def test_serve_lists_available_distributions(run: Run, monkeypatch: pytest.Monke
         "urlink-ros2",
         "urlink-mqtt",
         "urlink-opcua",
+        "urlink-mcp",
         "urlink-prometheus",
     ):
         assert f"pip install {distribution}" in out
     for kind, says in (
         ("rr", "pip install urlink-rr"),
-        ("carrier-pigeon", "expected one of mqtt, opcua, prometheus, ros2, rr, zenoh"),
+        ("carrier-pigeon", "expected one of mcp, mqtt, opcua, prometheus, ros2, rr, zenoh"),
     ):
         status, out, err = run("serve", kind, "sim://")
         assert (status, out) == (1, "")
@@ -76,6 +78,32 @@ def test_serve_runs_adapter_with_named_robots(run: Run, entry: Entry) -> None:
     assert (status, out) == (0, "serving arm over fake; Ctrl-C ends it\n")
     assert "arm: UR5e, firmware 5.11" in err
     assert entry.served == [("hall", 2.0, {"arm": "5.11"}), "ended"]
+
+
+@pytest.mark.real_time
+def test_serve_ends_when_event_of_adapter_is_set(run: Run, entry: Entry, monkeypatch: pytest.MonkeyPatch) -> None:
+    ended = threading.Event()
+    ended.set()
+    monkeypatch.setattr(entry, "serve", lambda robots, args: contextlib.nullcontext(ended))
+    assert run("serve", "fake", "arm=sim://ur5e?firmware=5.11")[:2] == (0, "serving arm over fake; Ctrl-C ends it\n")
+
+
+@pytest.mark.real_time
+def test_serve_passes_points_of_adapter_to_robots(run: Run, entry: Entry, monkeypatch: pytest.MonkeyPatch) -> None:
+    names: list[list[str]] = []
+
+    def add_arguments(parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("--points")
+
+    @contextlib.contextmanager
+    def serve(robots: Mapping[str, urlink.Robot], args: argparse.Namespace) -> Iterator[None]:
+        names.append(list(robots["arm"].points))
+        yield
+
+    monkeypatch.setattr(entry, "add_arguments", add_arguments)
+    monkeypatch.setattr(entry, "serve", serve)
+    status, _, _ = run("serve", "fake", "arm=sim://ur5e?firmware=5.11", "--duration", "0.1", "--points", "cell.json")
+    assert (status, names) == (0, [[]])
 
 
 @pytest.mark.parametrize("argv", [("fake",), ("fake", "a=sim://", "a=sim://ur10"), ("fake", "sim://", "--no-such")])

@@ -25,11 +25,11 @@ from urlink.arm.kinematics import Arm
 from urlink.arm.models import Model, model
 from urlink.diagnosis.stop_causes import explain
 from urlink.diagnosis.stop_record import StopRecord, columns_of, messages_of, packets_in
+from urlink.errors.stop_explanation import StopExplanation
 from urlink.packets import RealtimeState
 from urlink.protocol.primary.protocol import PrimaryProtocol
 from urlink.protocol.realtime.protocol import RealtimeProtocol
 from urlink.simulator import Controller, Plane, Still
-from urlink.stop_explanation import StopExplanation
 
 FIRMWARES = ("3.15", "5.11", "10.12")
 _ARMS = {"3.15": ("UR3", "UR5", "UR10"), "5.11": ("UR3e", "UR5e", "UR10e"), "10.12": ("UR5e", "UR10e", "UR16e")}

@@ -11,6 +11,7 @@ import pytest
 
 import urlink
 import urlink.cli
+from linkcore import clock
 from urlink import Robot, SafetyStop
 
 pytestmark = pytest.mark.simulated_time
@@ -77,9 +78,13 @@ def test_second_stop_has_its_own_explanation(robot: Robot) -> None:
     assert first.explanation.cause.name == "position deviation"
 
 
-def test_program_of_another_client_is_named(robot: Robot) -> None:
-    motion = robot.motion.move_joints(GOAL, speed=0.2)
-    robot.realtime.wait_until(lambda state: abs(state.qd_target[0]) > 0.1, timeout=10)
+@pytest.mark.parametrize("seconds", [2.0, 12.0], ids=["recent", "older_than_the_record"])
+def test_program_of_another_client_is_named(robot: Robot, seconds: float) -> None:
+    motion = robot.motion.move_joints(GOAL, speed=0.07)
+    clock.sleep(seconds)
+    assert not motion.done
+    for number in range(70):  # so many messages that the record drops those that are too old
+        robot.io.set_digital_out(0, number % 2 == 0)
     robot.controller.take("def intruder():\n  sleep(3)\nend\n")
     with pytest.raises(urlink.LinkError):
         motion.wait(timeout=20)

@@ -44,6 +44,7 @@ def drawn(cause: str, firmware: str = "5.11") -> StopRecord:
         (173, 8, "joint torque", 2),
         (191, 34, "joint speed", 2),
         (191, 2, "joint speed", None),
+        (191, 37, "joint speed", 5),
         (204, 1, "sudden change of target", None),
         (154, -1, "singularity", None),
         (209, 0, "program request", None),
@@ -56,7 +57,7 @@ def test_code_names_cause_and_joint(code: int, argument: int, cause: str, joint:
     assert found.source
 
 
-@pytest.mark.parametrize(("code", "argument"), [(0, 0), (153, 12), (191, 99), (99999, 1)])
+@pytest.mark.parametrize(("code", "argument"), [(0, 0), (153, 12), (191, 31), (191, 99), (99999, 1)])
 def test_unknown_code_has_no_meaning(code: int, argument: int) -> None:
     assert code_of(code, argument) is None
 
@@ -70,16 +71,13 @@ def test_page_lists_every_code() -> None:
 # -- drawn stops -----------------------------------------------------------------------------------------------
 
 
-def test_right_cause_is_first_for_30_drawn_stops() -> None:
-    found = list(stops_drawn.draw(30, 1))
-    assert sum(each.is_right for each in found) >= 29, [(each.cause, each.found) for each in found if not each.is_right]
-    assert {each.firmware for each in found} == set(stops_drawn.FIRMWARES)
-
-
 @pytest.mark.slow
 def test_right_cause_is_first_for_95_percent_of_200_stops() -> None:
     found = list(stops_drawn.draw(200, 45))
-    assert sum(each.is_right for each in found) >= 190
+    assert sum(each.is_right for each in found) >= 190, [
+        (each.cause, each.found) for each in found if not each.is_right
+    ]
+    assert {each.firmware for each in found} == set(stops_drawn.FIRMWARES)
 
 
 @pytest.mark.slow

@@ -256,6 +256,21 @@ def test_group_compares_the_trajectory_of_each_arm() -> None:
         group.move_joints([at(0, 0, 0, 0, 0, 0.2), q], speed=0.2).wait(TIMEOUT)
 
 
+def test_follow_counts_the_overshoot_of_a_sudden_acceleration() -> None:
+    with limited() as robot:
+        # Wrist 3 turns at 0.9 rad/s, and the limit is 1 rad/s.
+        for rise, is_refused in ((0.1, True), (1.0, False)):
+            times = np.array([0.0, rise, rise + 1.0, 2 * rise + 1.0])
+            turned = 0.9 * np.array([0.0, 0.5 * rise, 0.5 * rise + 1.0, rise + 1.0])
+            speeds = np.outer([0.0, 0.9, 0.9, 0.0], np.eye(6)[5])
+            trajectory = Trajectory.from_arrays(times, READY + np.outer(turned, np.eye(6)[5]), speeds)
+            if is_refused:
+                with pytest.raises(LimitExceeded, match="joint"):
+                    robot.motion.follow(trajectory)
+            else:
+                robot.motion.follow(trajectory).wait(TIMEOUT)
+
+
 def test_connect_async_takes_limits() -> None:
     async def main() -> None:
         limits = SessionLimits(tool_speed=0.05)

@@ -16,6 +16,7 @@ from urlink.cli import main
 from urlink.simulator import Controller
 from urlink_accept.acceptance import swings
 from urlink_accept.acceptance.bundle import opened, pack
+from urlink_accept.acceptance.causes import likely_causes
 from urlink_accept.acceptance.evidence import Evidence
 from urlink_accept.acceptance.logbook import Logbook
 from urlink_accept.acceptance.person import OfTheSimulator
@@ -58,7 +59,8 @@ def sound(logbook: Path) -> Evidence:
 @pytest.mark.slow
 def test_correct_arm_meets_all_requirements(sound: Evidence) -> None:
     found = verdicts(sound)
-    assert {name: each.state for name, each in found.items()} == dict.fromkeys(OWN, "held")
+    expected = dict.fromkeys(OWN, "held") | {"swing-force": "not tried"}  # a CB3 has no force sensor
+    assert {name: each.state for name, each in found.items()} == expected
     assert [each.contradicts for each in found.values() if each.contradicts] == []
     assert found["swing-moments"].seen == "explained by masses and rotors: elbow 1.00000, wrist 1 1.00000"
 
@@ -189,6 +191,19 @@ def test_requirement_detects_defect_of_swing(sound: Evidence, plant: Plant, name
     found = verdicts(planted(sound, Defect(plant, named)))
     assert found[named].state == "not held", found[named]
     assert said in found[named].seen
+
+
+@pytest.mark.slow
+def test_force_is_compared_in_several_postures(tmp_path: Path) -> None:
+    with urlink.simulated_time(seed=3):
+        run("sim://ur5e?firmware=5.11", tmp_path / "run.urlog", (3,), consent)
+    sound = Evidence(tmp_path / "run.urlog")
+    assert verdicts(sound)["swing-force"].state == "held", verdicts(sound)["swing-force"]
+    weight = Defect(rt("tcp_force", lambda wrench: wrench - np.array([0.0, 0.0, 10.0, 0.0, 0.0, 0.0])), "swing-force")
+    found = verdicts(planted(Evidence(tmp_path / "run.urlog"), weight))["swing-force"]
+    assert found.state == "not held", found
+    assert "in the base frame" in found.seen
+    assert likely_causes([found])[0].startswith("The force is in a wrong frame, or the payload is set wrongly")
 
 
 @pytest.mark.simulated_time

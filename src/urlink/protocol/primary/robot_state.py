@@ -27,7 +27,6 @@ from linkcore.wire.fields import (
 )
 from linkcore.wire.packet import IntVector, State, Vector, packet, wire
 
-from ...foreign_names import hint_other_interfaces
 from ..enums import (
     AnalogDomain,
     ControlMode,
@@ -41,6 +40,7 @@ from ..enums import (
     ToolMode,
     ToolOutputMode,
 )
+from ..field_names import hint_other_interfaces
 from ..headers import PACKAGE
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from __future__ import annotations
 from linkcore.wire.fields import Coded, Float64b, Mask64
 from linkcore.wire.packet import State, Vector, packet, wire
 
-from ...foreign_names import hint_other_interfaces
 from ..enums import JointMode, ProgramState, RobotMode, RobotModeCB2, SafetyMode
+from ..field_names import hint_other_interfaces
 from ..headers import REALTIME
 
 # CB2 and later controllers share the offsets below 396 and from 684 upwards, and order the fields in between

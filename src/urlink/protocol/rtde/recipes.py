@@ -17,7 +17,7 @@ from linkcore.wire.fields import Field, Header, Int8ub
 from linkcore.wire.layout import Layout
 from linkcore.wire.packet import State, packet, wire
 
-from ...foreign_names import hint_other_interfaces
+from ..field_names import hint_other_interfaces
 from .packets import HEADER
 from .variables import OUTPUTS, TYPES, Variable, shape_of
 

@@ -37,6 +37,7 @@ _ORDER: Mapping[str, str] = {
     "gravity": "The target moments are wrong",
     "currents": "The currents are wrong",
     "weight": "The force is wrong",
+    "swing-force": "The force is in a wrong frame, or the payload is set wrongly",
     "flags": "A flag contradicts its mode",
     "modes-known": "A mode is unknown",
     "stop-at-rest": "A stop is not shown everywhere",

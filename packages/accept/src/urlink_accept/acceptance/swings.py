@@ -31,6 +31,7 @@ from urlink.tools import (
 
 from ..identification import identify
 from ..identification.exercise import BESIDE, SWING, Exercise, Guard, exercise, plan_from_here, slider_of
+from ..identification.force_sensor import fixed_force
 from ..identification.samples import COLUMNS, Samples
 from .arrivals import known_arm
 from .evidence import Evidence
@@ -48,7 +49,10 @@ _ROUNDING = 1e-6
 #: Number of digits for rounding the residual of a fit. Further digits differ between computers.
 _DIGITS = 9
 
-_SHOWS_ARM = Firmware(3, 0)
+#: Largest width in N of the interval of a force that is compared with its limit.
+_FORCE_WIDTH = 6.0
+
+_SHOWS_ARM, _HAS_SENSOR = Firmware(3, 0), Firmware(5, 0)
 
 
 def _step_of(joint: int) -> str:
@@ -249,6 +253,24 @@ def _currents(evidence: Evidence) -> Measured:
     return Measured(left, f"explained by moments and friction: {seen}", refuted)
 
 
+def _force(evidence: Evidence) -> Measured:
+    swings = _Swings(evidence)
+    if evidence.firmware is None or evidence.firmware < _HAS_SENSOR:
+        raise NotTried("this controller computes the force from motor currents")
+    pose, wrench = (swings.packets.column(attrgetter(name)) for name in ("tool_vector_actual", "tcp_force"))
+    if not swings.joints or pose is None or wrench is None:
+        raise NotTried("no joint was moved in the swing test")
+    turning, staying = fixed_force(pose, wrench)
+    known = [(axis, each) for axis, each in zip("xyz", staying, strict=True) if each.high - each.low < _FORCE_WIDTH]
+    if not known:
+        raise NotTried("the tool did not turn enough to compare the force in several postures")
+    # The end of the interval that is nearer to 0: a real arm can have the force.
+    least = max(max(each.low, -each.high, 0.0) for _, each in known)
+    size = float(np.linalg.norm([each.value for each in turning]))
+    seen = ", ".join(f"{axis} {_text(each)} N" for axis, each in known)
+    return Measured(least, f"in the base frame {seen}; the offset that turns with the tool has {size:.1f} N")
+
+
 def _of(name: str, judged: Callable[[float], float], seen: str, *others: str) -> Check:
     """Return a check of one identified number.
 
@@ -274,6 +296,7 @@ SWINGS: Mapping[str, Check] = {
     "swing-alone": _alone,
     "swing-moments": _moments,
     "swing-currents": _currents,
+    "swing-force": _force,
     "swing-lag": _of("tracking_lag", lambda lag: lag, "s behind the targets"),
     "swing-ramp": _of("start_rate", lambda rate: 0.5 / rate, "1/s, rate at which the scaling of a program rises"),
     "swing-noise": _of("position_noise", lambda noise: noise, "rad at rest, standard deviation", *_NOISE),

@@ -19,6 +19,8 @@ from .tracking import rests_of
 
 #: Largest width of the interval of the mass in kg; with a wider one, the tool did not turn enough. Fewest rests.
 _MASS, _RESTS = 1.0, 4
+#: Number of blocks of equal time for the fit of a force during motions.
+_BLOCKS = 24
 
 
 def force_offset(samples: Samples) -> dict[str, Sequence[Estimate]]:
@@ -48,6 +50,28 @@ def force_offset(samples: Samples) -> dict[str, Sequence[Estimate]]:
         forces, torques = _fit(turns, wrench[:, :3]), _fit(turns, wrench[:, 3:])
     offsets = [fitted.estimate(axis) for fitted in (forces, torques) for axis in range(3)]
     return {"force_offset": tuple(offsets), "unset_payload": (mass,)}
+
+
+def fixed_force(pose: FloatArray, wrench: FloatArray) -> tuple[Sequence[Estimate], Sequence[Estimate]]:
+    """Separate the force into a part that turns with the tool, and a part that stays in the base frame.
+
+    An offset of the sensor turns with the tool. The weight of a payload that the controller does not know stays in the
+    base frame, and so does an offset that the controller reports in the wrong frame.
+
+    Args:
+        pose: Poses of the TCP in the base frame, shape (n, 6), in m and as rotation vectors in rad.
+        wrench: Forces and torques in the base frame, shape (n, 6), in N and Nm.
+
+    Returns:
+        The part that turns, in N along the axes of the TCP, and the part that stays, in N along those of the base.
+        A number is unknown if the tool did not turn enough to separate the two.
+    """
+    turns = rotvec_to_matrix(pose[:, 3:])
+    stays = np.tile(np.eye(3), (len(turns), 1, 1))
+    blocks = np.arange(len(turns)) * _BLOCKS // len(turns)
+    found = fit(np.concatenate((turns, stays), axis=2).reshape(-1, 6), wrench[:, :3].ravel(), np.repeat(blocks, 3))
+    estimates = [found.estimate(number) for number in range(6)]
+    return estimates[:3], estimates[3:]
 
 
 def _fit(columns: FloatArray, wrench: FloatArray) -> Fit:

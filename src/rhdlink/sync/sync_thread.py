@@ -19,7 +19,7 @@ from linkcore.streaming.packet_queue import PacketQueue, Policy, check_lifespan,
 from linkcore.streaming.subscription import Subscription, ThreadedDelivery, check_deadline
 from linkcore.threads import Closing, ReentrantEvent, started
 
-from .variables.snapshot import Change, Update
+from ..variables.snapshot import Change, Update
 
 _log = logging.getLogger(__name__)
 

@@ -11,13 +11,13 @@ from linkcore import clock
 from linkcore.streaming.flight_record import FlightRecord, Received, Sent, SentRecord
 
 from ..arm.models import MODELS
+from ..diagnosis.stop_record import StopRecord, columns_of, messages_of, packets_in
+from ..errors.stop_explanation import StopCause, StopExplanation
 from ..protocol.enums import SafetyMode
 from ..protocol.primary.protocol import PrimaryProtocol
 from ..protocol.realtime.packets import RealtimeState
 from ..protocol.realtime.protocol import RealtimeProtocol
 from ..session.identity import Identity
-from ..stop_explanation import StopCause, StopExplanation
-from .stop_record import StopRecord, columns_of, messages_of, packets_in
 
 _log = logging.getLogger(__name__)
 
@@ -161,7 +161,7 @@ class FlightRecorder:
 
     def _of_stop(self, data: _Data, stop: StopFlight) -> StopExplanation:
         # Imported here: a robot that never stops needs neither kinematics nor dynamics.
-        from .stop_causes import explain_mode, explain_stop
+        from ..diagnosis.stop_causes import explain_mode, explain_stop
 
         record = self._record(data)
         near = [each for each in record.stops if abs(float(record.time[each.row]) - stop.at) < 1.0]
@@ -173,7 +173,7 @@ class FlightRecorder:
         return explain_mode(record, mode, stop.at, had_begun=bool(near) or not len(record.time))
 
     def _explained(self, data: _Data) -> list[StopExplanation]:
-        from .stop_causes import explain
+        from ..diagnosis.stop_causes import explain
 
         return explain(self._record(data))
 

@@ -3,50 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
 
 from linkcore import clock
 from linkcore.clock import Stamp
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout, PacketError, WrongPeer
 from linkcore.pending_call import check_wanted
 
-from .errors import AccessDenied
-from .wire.decoder import Limits, ServerDecoder
-from .wire.messages import END, Batch, Handshake, encode_access, encode_ready
+from ..errors import AccessDenied
+from ..wire.decoder import Limits, ServerDecoder
+from ..wire.messages import END, Batch, Handshake, encode_access, encode_ready
+from ..wire.transport import Transport
 
 #: Maximum wait for the unsolicited batch, in seconds, once per connection. Robots tick every 10 to 25 ms
 #: (docs/protocols/rhd.md, Configuration file), so this covers four ticks of the slowest robot.
 _MOST_UNSOLICITED_WAIT = 0.1
-
-
-class Transport(Protocol):
-    """The transport of a connection: `linkcore.net.transport.TcpTransport`, or `rhdlink.mqtt.transport`."""
-
-    name: str
-
-    def open(self, timeout: float) -> None:
-        """Connect."""
-
-    def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
-        """Wait for bytes."""
-
-    def receive_waiting(self) -> tuple[bytes, Stamp] | None:
-        """Return bytes that have already arrived, or None. Does not wait."""
-
-    def send(self, data: bytes, timeout: float) -> None:
-        """Send all bytes."""
-
-    def abort(self) -> None:
-        """Disconnect immediately and wake waiting threads.
-
-        Bytes that the peer has not acknowledged are discarded.
-        """
-
-    def close(self) -> None:
-        """Disconnect, after a short wait for the peer to acknowledge the sent bytes.
-
-        Wake waiting threads.
-        """
 
 
 class Connection:

@@ -111,7 +111,7 @@ class _HostedRobot:
 
 
 class MqttTransport:
-    """The transport of a client to a robot over MQTT. For its methods, see `rhdlink.connection.Transport`.
+    """The transport of a client to a robot over MQTT. For its methods, see `rhdlink.wire.transport.Transport`.
 
     Args:
         address: Address of the broker.

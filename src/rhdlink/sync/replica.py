@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike
 from linkcore.errors import BadValue
 from linkcore.text import similar
 
-from .errors import NotThere
-from .variables.database import Database, VariableTable
-from .variables.declarations import Declarations
-from .variables.snapshot import Change, Variable, changes_in
-from .wire.data import Ids
-from .wire.messages import Batch
+from ..errors import NotThere
+from ..variables.database import Database, VariableTable
+from ..variables.declarations import Declarations
+from ..variables.snapshot import Change, Variable, changes_in
+from ..wire.data import Ids
+from ..wire.messages import Batch
 
 _log = logging.getLogger(__name__)
 
