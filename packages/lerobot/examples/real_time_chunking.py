@@ -96,7 +96,8 @@ def main(words: list[str] | None = None) -> None:
     before, after = make_pre_post_processors(
         config, pretrained_path=args.policy, preprocessor_overrides={"device_processor": {"device": args.device}}
     )
-    robot = UR(URConfig(address=args.address, fps=args.fps, limits=args.limits))
+    # A long watchdog: the robot brakes at once if this process ends, and at the end of each chunk.
+    robot = UR(URConfig(address=args.address, fps=args.fps, limits=args.limits, watchdog=2.0))
     features = map_robot_keys_to_lerobot_features(robot)
 
     def prepare(observation: dict[str, Any]) -> dict[str, Any]:

@@ -114,6 +114,24 @@ def test_send_chunk_rejects_invalid_frozen(make: Callable[..., UR], frozen: obje
         arm.send_chunk(turned(observation), PERIOD, frozen=frozen)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(("steps", "period"), [(0, PERIOD), (1, PERIOD), (9, 0.0), (9, -0.1), (9, float("nan"))])
+def test_send_chunk_rejects_invalid_chunks(make: Callable[..., UR], steps: int, period: float) -> None:
+    arm = make(watchdog=2.0)
+    arm.connect()
+    observation = arm.get_observation()
+    with pytest.raises(urlink.BadValue, match="expected"):
+        arm.send_chunk(turned(observation, steps), period)
+
+
+def test_chunk_may_end_at_full_step(make: Callable[..., UR]) -> None:
+    arm = make(watchdog=2.0, max_step=0.03)
+    arm.connect()
+    # Each action asks for the whole step, up to the last one.
+    far = {name: value + 5.0 for name, value in arm.get_observation().items() if name in NAMES}
+    sent = arm.send_chunk([far] * 10, PERIOD)
+    assert sent[-1]["joint_6.pos"] - sent[0]["joint_6.pos"] == pytest.approx(9 * 0.03)
+
+
 def test_example_needs_limits_for_real_arm(example: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         example.main(["192.168.0.1", "policy"])

@@ -296,17 +296,21 @@ class UR(Robot):
         Raises:
             LocalError: If there was no observation, or the firmware is older than 3.4.
             BadValue: If `send_action` would raise it, if all actions are in the past, if they are too far apart for
-                the arm, or if fewer than two actions follow the frozen ones. Nothing is sent.
+                the arm, if fewer than two actions follow the frozen ones, or if `period` is invalid. Nothing is sent.
             DeviceNotConnectedError, Unreachable, SafetyStop, NotRunning, NotEnabled, LinkError: If `send_action` would
                 raise it.
         """
         robot, actions, fingers = self._connected(), self._meaning(), self._fingers
         if self._observed is None:
             raise urlink.LocalError("a chunk needs an observation to start from; call get_observation first")
+        if len(chunk) < 2:
+            raise BadValue(f"the chunk has {len(chunk)} actions; expected at least 2")
         if isinstance(frozen, bool) or not isinstance(frozen, int) or not 0 <= frozen <= len(chunk) - 2:
             raise BadValue(f"frozen={frozen!r}; expected 0 to {len(chunk) - 2}, so that two actions are left")
         commanded, since = self._observed
         seconds = 1.0 / self.config.fps if period is None else period
+        if not seconds > 0.0:
+            raise BadValue(f"period={period!r}; expected a time above 0 s")
         wanted = [] if fingers is None else [closing(action) for action in chunk]
         path, sent = [], []
         for action in chunk:
@@ -314,7 +318,6 @@ class UR(Robot):
             sent.append(actions.named(q, commanded))
             path.append(q)
             commanded = q
-        trajectory = urlink.Trajectory.from_arrays(seconds * np.arange(len(path)), np.array(path))
         if fingers is not None:
             fingers.check()
         stream = self._way
@@ -325,11 +328,11 @@ class UR(Robot):
             self._way = stream
         if stream.is_dry:
             frozen = 0
-        points: urlink.Trajectory | list[urlink.TrajectoryPoint] = trajectory
-        if frozen:
-            times = seconds * np.arange(frozen, len(path))
-            rows = zip(since + times, *trajectory.at(times)[:2], strict=True)
-            points = [urlink.TrajectoryPoint(q, float(time), qd) for time, q, qd in rows]
+        # With the speeds of the neighbouring actions, a chunk may begin and end while the arm moves.
+        speeds = np.gradient(np.array(path), seconds, axis=0)
+        points = [
+            urlink.TrajectoryPoint(path[k], since + seconds * k, speeds[k]) for k in range(max(frozen, 1), len(path))
+        ]
         try:
             self._chunk_delay = stream.replace(since + seconds * frozen, points) - since
             self._chunk_since = since
