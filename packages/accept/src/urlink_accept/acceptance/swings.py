@@ -49,6 +49,9 @@ _ROUNDING = 1e-6
 #: Number of digits for rounding the residual of a fit. Further digits differ between computers.
 _DIGITS = 9
 
+#: Fewest joints that must swing to measure the error of the currents. This error changes slowly, so a single swing has
+#: too few independent values of it.
+_JOINTS_FOR_NOISE = 3
 #: Largest width in N of the interval of a force that is compared with its limit.
 _FORCE_WIDTH = 6.0
 
@@ -278,11 +281,12 @@ def _of(name: str, judged: Callable[[float], float], seen: str, *others: str) ->
     """
 
     def check(evidence: Evidence) -> Measured:
-        _, found = _identified(evidence)
+        swings, found = _identified(evidence)
         (each,) = found.estimates[name]
         if not each.is_known:
             raise NotTried(f"{name} cannot be determined; {each.needs} is needed")
-        return Measured(abs(judged(each.value)), f"{_text(each)} {seen}", contradictions(_of_arm(found, name, *others)))
+        known = [one for one in others if one != "current_noise" or len(swings.joints) >= _JOINTS_FOR_NOISE]
+        return Measured(abs(judged(each.value)), f"{_text(each)} {seen}", contradictions(_of_arm(found, name, *known)))
 
     return check
 
