@@ -115,7 +115,9 @@ def ros2(session: nox.Session) -> None:
 
 @nox.session(venv_backend="uv")
 @nox.parametrize(
-    "python,release", [("3.11", "lerobot==0.4.4"), ("3.12", "lerobot[core-scripts]==0.6.1")], ids=["0.4.4", "0.6.1"]
+    "python,release",
+    [("3.11", "lerobot[async]==0.4.4"), ("3.12", "lerobot[async,core-scripts]==0.6.1")],
+    ids=["0.4.4", "0.6.1"],
 )
 def lerobot(session: nox.Session, release: str) -> None:
     """Test lerobot_robot_urlink with two releases of LeRobot. Run it after changing that package; torch takes 4 GB."""

@@ -175,6 +175,7 @@ PACKAGES: dict[str, tuple[str, ...]] = {
     "opcua": (),
     "mcp": (),
     "files": (),
+    "gym": ("./packages/mujoco", "openpi-client==0.1.2; python_version < '3.13'"),
     "prometheus": (),
     "rr": (),
     "zenoh": ("jsonschema",),

@@ -25,6 +25,8 @@ MIDDLEWARES = {
     "control_msgs",
     "std_msgs",
     "std_srvs",
+    "gymnasium",
+    "openpi_client",
     "lerobot",
     "mujoco",
     "draccus",

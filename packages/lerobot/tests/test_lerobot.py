@@ -16,6 +16,7 @@ from lerobot.utils.import_utils import register_third_party_plugins
 
 import urlink
 from lerobot_robot_urlink import UR, URConfig, URLeader, URLeaderConfig
+from urlink.packets import ProgramState
 from urlink.simulator import Controller
 
 NAMES = [f"joint_{number}.pos" for number in range(1, 7)]
@@ -122,6 +123,46 @@ def test_arm_brakes_without_actions(arm: UR, controller: Controller) -> None:
     # As in a hanging process: no action, and no end.
     until(lambda: abs(arm.get_observation()["joint_1.vel"]) < 1e-3, 5.0)
     assert positions(arm)[0] < 0.9
+
+
+def pause(controller: Controller) -> None:
+    """Wait until the program of the servo has ended, because no action came."""
+    with urlink.connect(controller.address, read_only=True) as robot:
+        robot.realtime.wait_until(lambda state: state.program_state is ProgramState.STOPPED, timeout=60.0)
+
+
+def test_action_after_pause_needs_restart_after_pause(make: Callable[..., UR], controller: Controller) -> None:
+    for restarts in (False, True):
+        arm = make(watchdog=0.5, restart_after_pause=restarts)
+        arm.connect()
+        here = dict(zip(NAMES, positions(arm).tolist(), strict=True))
+        arm.send_action(here)
+        pause(controller)
+        if restarts:
+            arm.send_action(here)
+        else:
+            with pytest.raises(urlink.ConnectionLost, match="watchdog"):
+                arm.send_action(here)
+        arm.disconnect()
+
+
+def test_action_of_interrupted_process_does_not_restart(
+    make: Callable[..., UR], controller: Controller, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Interrupted(urlink.Expiry):
+        """Expiry that has noticed an interruption."""
+
+        def check(self) -> None:
+            raise urlink.LinkTimeout("this process was interrupted")
+
+    monkeypatch.setattr(urlink, "Expiry", Interrupted)
+    arm = make(watchdog=0.5, restart_after_pause=True)
+    arm.connect()
+    here = dict(zip(NAMES, positions(arm).tolist(), strict=True))
+    arm.send_action(here)
+    pause(controller)
+    with pytest.raises(urlink.LinkTimeout, match="interrupted"):
+        arm.send_action(here)
 
 
 def test_leader_moves_follower(arm: UR, controller: Controller, tmp_path: Path) -> None:

@@ -23,6 +23,10 @@ from .joints import FORCE, GRIPPER, POSE, POSITIONS, STATE_TIMEOUT, VELOCITIES, 
 __all__ = ["UR", "URConfig"]
 
 
+#: Time in s after an interruption of this process during which no action restarts the arm.
+_SETTLING = 5.0
+
+
 @RobotConfig.register_subclass("ur")
 @dataclass(kw_only=True)
 class URConfig(RobotConfig):
@@ -33,7 +37,10 @@ class URConfig(RobotConfig):
         fps: Intended number of actions per second.
         action: Kind of action: ``joints``, ``joint_deltas``, ``pose`` or ``pose_deltas``.
         max_step: Maximum change of a joint's set-point by one action, in rad. Any excess is left out.
-        watchdog: Time, in s, without an action after which the robot brakes on its own.
+        watchdog: Time, in s, without an action after which the robot brakes on its own, 0.1 to 2.
+        restart_after_pause: Whether an action after such a pause moves the arm again, instead of raising
+            `ConnectionLost`. LeRobot's asynchronous inference needs this, because it pauses while a slow policy
+            computes. After this process was interrupted for more than 2 s, the action is rejected nevertheless.
         gripper: Whether a Robotiq gripper is part of observations and actions. Connecting activates it: **the fingers
             close and open** unless it is active.
         observe_tool: Whether the pose of the tool is part of an observation.
@@ -48,6 +55,7 @@ class URConfig(RobotConfig):
     action: str = "joints"
     max_step: float = 0.04
     watchdog: float = 0.5
+    restart_after_pause: bool = False
     gripper: bool = False
     observe_tool: bool = True
     observe_force: bool = False
@@ -83,6 +91,7 @@ class UR(Robot):
         self.cameras = make_cameras_from_configs(config.cameras)
         self._robot: urlink.Robot | None = None
         self._fingers: Fingers | None = None
+        self._expiry: urlink.Expiry | None = None
         #: current servo (for actions) or point stream (for chunks); meaning of the actions; last set-points of the
         #: joints
         self._way: urlink.motion.Servo | urlink.motion.PointStream | None = None
@@ -90,6 +99,8 @@ class UR(Robot):
         self._commanded: Any = None
         #: set-points of the joints at the last observation, and the time of the stream, in s
         self._observed: tuple[Any, float] | None = None
+        #: delay of the last chunk, and the time of its first action on the clock of the stream, in s
+        self._chunk_delay = self._chunk_since = 0.0
 
     # -- features --------------------------------------------------------------------------------------
 
@@ -130,6 +141,10 @@ class UR(Robot):
             for camera in self.cameras.values():
                 camera.connect()
             self._fingers = Fingers(robot) if self.config.gripper else None
+            if self.config.restart_after_pause:
+                # The states of the arm show that this process runs, and that it was not suspended.
+                self._expiry = expiry = urlink.Expiry(_SETTLING)
+                robot.realtime.subscribe(lambda state: expiry.tick(), inline=True)
         except BaseException:
             robot.close()
             raise
@@ -199,12 +214,29 @@ class UR(Robot):
             Unreachable: If a pose is out of reach. Nothing is sent.
             SafetyStop, NotRunning, NotEnabled: If the arm must not be moved now.
             GripperFault: If the gripper reported a fault since the last action or observation. Nothing is sent.
+            ConnectionLost: If the arm has braked because no action came within `URConfig.watchdog` seconds, unless
+                `URConfig.restart_after_pause` is set.
+            LinkTimeout: If this process was recently interrupted, so that the action might be too old.
             LinkError: If another error ended the servo.
         """
         robot, actions, fingers = self._connected(), self._meaning(), self._fingers
         values, wanted = actions.read(action), None if fingers is None else closing(action)
         if fingers is not None:
             fingers.check()
+        try:
+            sent = self._move(robot, actions, values)
+        except urlink.ConnectionLost:
+            if self._expiry is None:
+                raise
+            self._expiry.check()
+            sent = self._move(robot, actions, values)
+        if fingers is not None and wanted is not None:
+            fingers.wanted = lambda: wanted
+            sent[GRIPPER] = wanted / 255.0
+        return sent
+
+    def _move(self, robot: urlink.Robot, actions: Actions, values: Any) -> dict[str, float]:
+        """Send one set-point, and return the action that was sent."""
         servo = self._way
         if not isinstance(servo, urlink.motion.Servo):
             self._end_way()
@@ -221,13 +253,29 @@ class UR(Robot):
             self._end_way()
             raise
         self._commanded = q
-        sent = actions.named(q, commanded)
-        if fingers is not None and wanted is not None:
-            fingers.wanted = lambda: wanted
-            sent[GRIPPER] = wanted / 255.0
-        return sent
+        return actions.named(q, commanded)
 
-    def send_chunk(self, chunk: Sequence[dict[str, Any]], period: float | None = None) -> list[dict[str, float]]:
+    @property
+    def chunk_delay(self) -> float:
+        """Time in s from the observation of the last chunk until the chunk took effect; 0.0 before the first chunk.
+
+        Divided by the period of the chunk, it is the delay of real-time chunking. The first chunk of a motion has no
+        delay, because the arm is at rest until it arrives.
+        """
+        return self._chunk_delay
+
+    @property
+    def chunk_time(self) -> float:
+        """Time in s from the first action of the last chunk to the last observation, as the arm executes it.
+
+        Divided by the period of the chunk, it is the number of actions that the arm has executed. It does not grow
+        while the arm is paused, or rests at the end of the chunk. It is 0.0 before the first chunk.
+        """
+        return 0.0 if self._observed is None else max(self._observed[1] - self._chunk_since, 0.0)
+
+    def send_chunk(
+        self, chunk: Sequence[dict[str, Any]], period: float | None = None, *, frozen: int = 0
+    ) -> list[dict[str, float]]:
         """Move the arm through the actions that a policy computed from the last observation.
 
         The first action is for the moment of that observation, and each further action for `period` s later. The chunk
@@ -238,6 +286,8 @@ class UR(Robot):
         Args:
             chunk: At least two actions.
             period: Time between two actions, in s; None for the period of `URConfig.fps`.
+            frozen: Number of first actions that the arm takes from the previous chunk, for real-time chunking: the
+                chunk takes effect after them. It has no effect if the arm is at rest.
 
         Returns:
             The actions that were sent. No joint moves further than `URConfig.max_step` from one action to the next, or
@@ -245,16 +295,22 @@ class UR(Robot):
 
         Raises:
             LocalError: If there was no observation, or the firmware is older than 3.4.
-            BadValue: If `send_action` would raise it, if all actions are in the past, or if they are too far apart for
-                the arm. Nothing is sent.
+            BadValue: If `send_action` would raise it, if all actions are in the past, if they are too far apart for
+                the arm, if fewer than two actions follow the frozen ones, or if `period` is invalid. Nothing is sent.
             DeviceNotConnectedError, Unreachable, SafetyStop, NotRunning, NotEnabled, LinkError: If `send_action` would
                 raise it.
         """
         robot, actions, fingers = self._connected(), self._meaning(), self._fingers
         if self._observed is None:
             raise urlink.LocalError("a chunk needs an observation to start from; call get_observation first")
+        if len(chunk) < 2:
+            raise BadValue(f"the chunk has {len(chunk)} actions; expected at least 2")
+        if isinstance(frozen, bool) or not isinstance(frozen, int) or not 0 <= frozen <= len(chunk) - 2:
+            raise BadValue(f"frozen={frozen!r}; expected 0 to {len(chunk) - 2}, so that two actions are left")
         commanded, since = self._observed
         seconds = 1.0 / self.config.fps if period is None else period
+        if not seconds > 0.0:
+            raise BadValue(f"period={period!r}; expected a time above 0 s")
         wanted = [] if fingers is None else [closing(action) for action in chunk]
         path, sent = [], []
         for action in chunk:
@@ -262,7 +318,6 @@ class UR(Robot):
             sent.append(actions.named(q, commanded))
             path.append(q)
             commanded = q
-        trajectory = urlink.Trajectory.from_arrays(seconds * np.arange(len(path)), np.array(path))
         if fingers is not None:
             fingers.check()
         stream = self._way
@@ -271,8 +326,16 @@ class UR(Robot):
             stream, since = robot.motion.stream(watchdog=self.config.watchdog), 0.0
             stream.__enter__()
             self._way = stream
+        if stream.is_dry:
+            frozen = 0
+        # With the speeds of the neighbouring actions, a chunk may begin and end while the arm moves.
+        speeds = np.gradient(np.array(path), seconds, axis=0)
+        points = [
+            urlink.TrajectoryPoint(path[k], since + seconds * k, speeds[k]) for k in range(max(frozen, 1), len(path))
+        ]
         try:
-            stream.replace(since, trajectory)
+            self._chunk_delay = stream.replace(since + seconds * frozen, points) - since
+            self._chunk_since = since
         except BadValue:
             raise
         except urlink.LinkError:
