@@ -149,7 +149,7 @@ def test_concurrent_listen_subscribes_once(desk: Monitored) -> None:
     """A signal handler can interrupt its own thread while it subscribes."""
     subscribe = desk.primary.subscribe_inline
 
-    def interrupted(kind: type, callback: Callable[[Any], object]) -> Subscriber:
+    def interrupted(kind: type, callback: Callable[[Any], object], **options: object) -> Subscriber:
         desk.primary.subscribe_inline = subscribe  # type: ignore[method-assign]
         desk.monitor.listen()
         return subscribe(kind, callback)
