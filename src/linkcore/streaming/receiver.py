@@ -14,7 +14,7 @@ from ..clock import Stamp
 from ..deferred import Deferred, DeferredBatch
 from ..errors import PacketError
 from ..text import printable
-from ..wire.deferred import DeferredPacket
+from ..wire.deferred_packet import DeferredPacket
 from ..wire.framing import PacketProtocol, is_strict, strictly
 from .flight_record import FlightRecord
 from .statistics import StreamCounters

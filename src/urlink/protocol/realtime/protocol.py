@@ -15,7 +15,7 @@ from collections.abc import Callable
 
 from linkcore.clock import Stamp
 from linkcore.wire.cycles import MissedCycles
-from linkcore.wire.deferred import DeferredPacket
+from linkcore.wire.deferred_packet import DeferredPacket
 from linkcore.wire.framing import Framer
 
 from ..firmware import RELEASES

@@ -12,7 +12,7 @@ from operator import attrgetter
 from typing import Any, NamedTuple
 
 from linkcore.deferred import Deferred
-from linkcore.wire.deferred import DeferredPacket
+from linkcore.wire.deferred_packet import DeferredPacket
 from linkcore.wire.state_layouts import StateLayout
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState
