@@ -6,8 +6,8 @@ sends an object that remembers its state. The object takes the same route as byt
     interface -> server -> simulated connection -> transport -> receiver -> state -> callback
 
 Each step that needs the bytes calls `bytes(packet)`. A state that is read from such a packet asks it only for the
-fields that the callback reads (`linkcore.wire.deferred_packet`). A real socket accepts only bytes, so with real sockets the
-bytes are made at once.
+fields that the callback reads (`linkcore.wire.deferred_packet`). A real socket accepts only bytes, so with real sockets
+the bytes are made at once.
 """
 
 from __future__ import annotations
