@@ -121,8 +121,8 @@ class TcpTransport:
 
     Attributes:
         round_trip: See `Transport`.
-        delivers_deferred: Whether `receive` might return a `DeferredPacket` instead of bytes, because the connection is
-            simulated.
+        delivers_deferred: Whether the connection is simulated, so that `accept_deferred` lets `receive` return packets
+            whose bytes are not made yet.
     """
 
     def __init__(self, host: str, port: int, *, silence: float, refused: Callable[[], str] = str) -> None:
@@ -189,7 +189,7 @@ class TcpTransport:
         # Only a simulated socket can pass on packets whose bytes are not made yet. A witness needs the bytes.
         deferred = None if _witness is not None else getattr(owned, "recv_deferred", None)
         self.delivers_deferred = deferred is not None
-        self._recv = deferred or owned.recv
+        self._recv = owned.recv
         self._owned.keep(owned)
         self._socket = owned
         _connections.add(self)
@@ -197,7 +197,7 @@ class TcpTransport:
     def accept_deferred(
         self, takes_batches: Callable[[], bool], take_in_place: Callable[[Deferred], tuple[bool, float | None]]
     ) -> None:
-        """Tell a simulated socket how to pass on steady packets. Call it only if `delivers_deferred` is true.
+        """Let `receive` return packets whose bytes are not made yet. Call it only if `delivers_deferred` is true.
 
         Args:
             takes_batches: Function that returns whether several packets may arrive at once; see `DeferredBatch`.
@@ -206,6 +206,7 @@ class TcpTransport:
         """
         connection: Any = self._socket
         if connection is not None:
+            self._recv = connection.recv_deferred
             connection.takes_batches, connection.take_in_place = takes_batches, take_in_place
 
     def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
