@@ -89,7 +89,7 @@ class Line:
         self.room: int | None = None
         self._waits = waits
 
-    def subscribe_inline(self, kind: type, callback: Callable[[Any], object]) -> Subscriber:
+    def subscribe_inline(self, kind: type, callback: Callable[[Any], object], **options: object) -> Subscriber:
         return Subscriber(kind, callback, self.subscribers)
 
     def watch(self, seconds: float, hook: Callable[[float], object]) -> Callable[[], None]:

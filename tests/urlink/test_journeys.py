@@ -22,9 +22,6 @@ SUBSCRIBING = {
     "linkcore.threads",
     "linkcore.streaming.connection_life",
     "linkcore.streaming.fanout",
-    "linkcore.streaming.feed",
-    "linkcore.streaming.packet_queue",
-    "linkcore.streaming.stream",
     "linkcore.streaming.subscription",
 }
 

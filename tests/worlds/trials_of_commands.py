@@ -584,10 +584,11 @@ def a_held_process(bench: Bench) -> None:
     at, seconds = bench.now + 0.3, 0.6 + chance.random()
     led = chance.choice((None, "jog", "servo"))
     bench.sim.at(at, bench.here.suspend)
+    begun = bench.controller.time + at - bench.now
     if how != "nothing":
-        bench.sim.at(at + 0.1, bench.controller.faults.protective_stop)
+        bench.controller.schedule(f"protective_stop@{begun + 0.1:.6f}")
     if how == "stop that is over":
-        bench.sim.at(at + 0.3, bench.controller.faults.clear)
+        bench.controller.schedule(f"clear@{begun + 0.3:.6f}")
     bench.sim.at(at + seconds, bench.here.resume)
     outcome: LinkError | None = None
     try:

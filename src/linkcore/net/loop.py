@@ -36,10 +36,11 @@ import struct
 import threading
 import weakref
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 
 from .. import clock
+from ..deferred import Deferred
 from ..errors import BadAddress, LinkTimeout
 from .listener import bound_socket, numeric_host
 
@@ -116,6 +117,8 @@ class Connection:
         self.last_activity = loop.time()
         self._loop = loop
         self._socket = link
+        # Only a simulated socket can send packets whose bytes are not made yet.
+        self._sends_deferred = hasattr(link, "recv_deferred")
         self._pending = bytearray()
         self._is_open = True
         self._is_reading = True
@@ -143,7 +146,7 @@ class Connection:
 
     # -- output --------------------------------------------------------------------------------------
 
-    def write(self, data: bytes) -> None:
+    def write(self, data: bytes | Deferred) -> None:
         """Send `data`: as much as the kernel accepts now, and the rest later.
 
         This has no effect on a closed connection. If the client does not read, so that more than the `output_limit` of
@@ -151,21 +154,36 @@ class Connection:
         """
         if not self.is_open or self._is_deaf:
             return
+        if not (self._sends_deferred and not self._pending):
+            data = bytes(data)
         if not self._pending:
             sent = self._send(data)
             if sent == len(data) or self._is_deaf:
                 return
-            data = data[sent:]
-        self._pending += data
+            data = bytes(data)[sent:]
+        self._pending += data  # type: ignore[arg-type]  # these are bytes
         if len(self._pending) > self.port.output_limit:
             self.port.overflowed += 1
             self._loop._drop(self, f"did not read: {len(self._pending)} bytes are buffered for it", reset=True)
         else:
             self._watch()
 
-    def _send(self, data: bytes | bytearray) -> int:
+    @property
+    def quiet_time(self) -> float:
+        """Time in s for which `write_batch` may send packets at once; always 0 in real time."""
+        if not self._sends_deferred or self._pending or not self.is_open or self._is_deaf:
+            return 0.0
+        seconds: float = self._socket.quiet_time  # type: ignore[attr-defined]  # it is a simulated socket
+        return seconds
+
+    def write_batch(self, packets: Sequence[Deferred], delays: Sequence[float]) -> None:
+        """Send steady packets, each after a delay in s from now. `quiet_time` limits the delays."""
+        self._socket.send_batch(packets, delays)  # type: ignore[attr-defined]
+        self.last_activity = self._loop.time()
+
+    def _send(self, data: bytes | bytearray | Deferred) -> int:
         try:
-            sent = self._socket.send(data)
+            sent = self._socket.send(data)  # type: ignore[arg-type]  # only a simulated socket gets a deferred packet
         except BlockingIOError:
             return 0
         except OSError:
@@ -542,7 +560,7 @@ class SelectorLoop:
 
     # -- the owner's thread ----------------------------------------------------------------------------
 
-    def serve_once(self, until: float | None = None) -> bool:
+    def serve_once(self, until: float | None = None, instead: Callable[[], float | None] | None = None) -> bool:
         """Wait for events until the time `until` on the loop's clock, and serve them.
 
         The sockets are polled once even if `until` has passed. Events that cannot be served before `until` are left for
@@ -550,6 +568,10 @@ class SelectorLoop:
 
         Args:
             until: Absolute time; None for no limit.
+            instead: Function that does the work of the owner at `until`, if it needs neither a socket that became ready
+                nor a wait. It returns the next `until`, or None if the owner must do the work itself. In simulated
+                time, it is called instead of returning at `until`, because a change of threads takes longer than
+                most work. In real time, it is not called.
 
         Returns:
             Whether there was an event before `until`.
@@ -557,7 +579,7 @@ class SelectorLoop:
         self._owner = threading.get_ident()
         begun = self.time()
         wake_at = self._earliest if until is None else min(until, self._earliest)
-        events = self._select(None if wake_at == _NEVER else max(wake_at - begun, 0.0))
+        events = self._select(None if wake_at == _NEVER else max(wake_at - begun, 0.0), instead)
         slice_end = begun + _LEAST_SLICE if until is None else max(until, begun + _LEAST_SLICE)
         for key, mask in events:
             what = key.data
@@ -610,9 +632,22 @@ class SelectorLoop:
 
     # -- inside ----------------------------------------------------------------------------------------
 
-    def _select(self, seconds: float | None) -> list[tuple[selectors.SelectorKey, int]]:
+    def _select(
+        self, seconds: float | None, instead: Callable[[], float | None] | None
+    ) -> list[tuple[selectors.SelectorKey, int]]:
         if seconds is None or seconds <= 0.0:
             return self._selector.select(seconds)
+        if instead is not None and (select_or_call := getattr(self._selector, "select_or_call", None)) is not None:
+            work = instead
+
+            def call() -> float | None:
+                until, now = work(), self.time()
+                if until is None or self._lost or self._earliest <= now:
+                    return None
+                return max(min(until, self._earliest) - now, 0.0)
+
+            found: list[tuple[selectors.SelectorKey, int]] = select_or_call(seconds, call)
+            return found
         if self._select_from is not None:
             return self._selector.select(0) if select.select(self._select_from, (), (), seconds)[0] else []
         # Wait for whole milliseconds, rounded down, because the selector rounds up. Then sleep for the rest.

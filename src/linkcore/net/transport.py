@@ -34,6 +34,7 @@ from typing import Any, Protocol
 
 from .. import clock
 from ..clock import Stamp
+from ..deferred import Deferred
 from ..errors import ConnectFailed, ConnectionLost, LinkError, LinkTimeout, LocalError, RemoteError, unraised
 from ..pending_call import check_wanted, interruptible
 from ..process import HomeProcess
@@ -120,6 +121,8 @@ class TcpTransport:
 
     Attributes:
         round_trip: See `Transport`.
+        delivers_deferred: Whether the connection is simulated, so that `accept_deferred` lets `receive` return packets
+            whose bytes are not made yet.
     """
 
     def __init__(self, host: str, port: int, *, silence: float, refused: Callable[[], str] = str) -> None:
@@ -128,6 +131,7 @@ class TcpTransport:
         self.silence = silence
         self.name = f"{host}:{port}"
         self.round_trip = math.inf
+        self.delivers_deferred = False
         self._refused = refused
         self._home = HomeProcess(self.name)
         self._socket: socket.socket | None = None
@@ -135,6 +139,7 @@ class TcpTransport:
         # the same time could close the descriptor of another connection.
         self._owned: MadeOnce[socket.socket] = MadeOnce()
         self._receive_timeout = silence  # current timeout of the socket
+        self._recv: Callable[[int], bytes]  # `recv` of the current or last socket
         #: Function that is called with the bytes of each successful call of `send_some`; None for none.
         self.sent: Callable[[bytes | memoryview], object] | None = None
 
@@ -181,9 +186,28 @@ class TcpTransport:
             raise mapped(error, self.name, self.silence, otherwise) from error
         self._receive_timeout = self.silence
         owned = connection if _witness is None else _witness(self, connection)
+        # Only a simulated socket can pass on packets whose bytes are not made yet. A witness needs the bytes.
+        deferred = None if _witness is not None else getattr(owned, "recv_deferred", None)
+        self.delivers_deferred = deferred is not None
+        self._recv = owned.recv
         self._owned.keep(owned)
         self._socket = owned
         _connections.add(self)
+
+    def accept_deferred(
+        self, takes_batches: Callable[[], bool], take_in_place: Callable[[Deferred], tuple[bool, float | None]]
+    ) -> None:
+        """Let `receive` return packets whose bytes are not made yet. Call it only if `delivers_deferred` is true.
+
+        Args:
+            takes_batches: Function that returns whether several packets may arrive at once; see `DeferredBatch`.
+            take_in_place: Function that takes a packet in place of the thread that waits in `receive`; see
+                `linkcore.simulated.sockets.Socket`.
+        """
+        connection: Any = self._socket
+        if connection is not None:
+            self._recv = connection.recv_deferred
+            connection.takes_batches, connection.take_in_place = takes_batches, take_in_place
 
     def receive(self, timeout: float | None = None) -> tuple[bytes, Stamp]:
         """Wait for bytes; return them with the time of their arrival.
@@ -204,7 +228,7 @@ class TcpTransport:
         try:
             if timeout != self._receive_timeout:
                 self._set_receive_timeout(connection, max(timeout, 0.0))
-            data = connection.recv(_CHUNK)
+            data = self._recv(_CHUNK)
         except OSError as error:
             # On Windows, the timeout is Python's own, whose error has no number.
             if isinstance(error, BlockingIOError) or (isinstance(error, TimeoutError) and error.errno is None):

@@ -11,11 +11,12 @@ from __future__ import annotations
 import errno
 import itertools
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
-from .scheduler import Scheduler, Task
+from ..deferred import Deferred, DeferredBatch
+from .scheduler import Check, Scheduler, Task
 
 #: Size of a kernel's buffer for one direction of a connection, at each end, in bytes.
 BUFFER = 128 * 1024
@@ -53,6 +54,9 @@ class Watcher(Protocol):
 
     def changed(self) -> None:
         """Check again whether there is something to read, or room to write."""
+
+    def pass_on(self, data: Deferred) -> bool:
+        """Pass arrived data to the program without a change of threads; return False if this is not possible now."""
 
 
 @dataclass(eq=False)
@@ -161,11 +165,53 @@ class Listener:
         self.accepted.clear()
 
 
+class ReceiveBuffer:
+    """Data that a kernel has received for a program. A packet whose bytes are not made yet stays one object."""
+
+    def __init__(self) -> None:
+        self._chunks: deque[bytes | memoryview | Deferred] = deque()
+        self._size = 0
+
+    def __len__(self) -> int:
+        return self._size
+
+    def put(self, data: bytes | Deferred) -> None:
+        """Append received data."""
+        self._chunks.append(data)
+        self._size += len(data)
+
+    def peek(self, size: int) -> bytes:
+        """Return the first bytes, at most `size`."""
+        return b"".join(map(bytes, self._chunks))[:size]
+
+    def take(self, size: int) -> bytes:
+        """Return and remove the first bytes, at most `size`."""
+        chunks, taken = self._chunks, []
+        while chunks and size > 0:
+            chunk = bytes(chunks.popleft())
+            if len(chunk) > size:
+                chunks.appendleft(memoryview(chunk)[size:])
+                chunk = chunk[:size]
+            taken.append(chunk)
+            size -= len(chunk)
+            self._size -= len(chunk)
+        return taken[0] if len(taken) == 1 else b"".join(taken)
+
+    def take_deferred(self, size: int) -> bytes | Deferred:
+        """Return and remove the same as `take`, but leave a single packet as it is."""
+        first = self._chunks[0]
+        if len(self._chunks) > 1 or isinstance(first, (bytes, memoryview)) or len(first) > size:
+            return self.take(size)
+        self._chunks.clear()
+        self._size = 0
+        return first
+
+
 class End:
     """One end of a connection, as the operating system of a computer stores it.
 
     Attributes:
-        received: Bytes that the program has not read.
+        received: Data that the program has not read.
         error: Error number to be reported once; 0 for none.
         is_connected: Whether the handshake is complete.
         is_ended: Whether the peer has finished sending.
@@ -186,7 +232,7 @@ class End:
         self.connecting_to: Computer | None = None
         self.refuse: Callable[[], object] = lambda: None
         self.owner: Watcher | None = None
-        self.received = bytearray()
+        self.received = ReceiveBuffer()
         self.error = 0
         self.is_connected = False
         self.is_ended = False
@@ -199,12 +245,13 @@ class End:
         # Segments by the number of their first byte; b"" is the FIN.
         self._sent = 0
         self._acknowledged = 0
-        self._segments: deque[tuple[int, bytes]] = deque()
+        self._segments: deque[tuple[int, bytes | Deferred]] = deque()
         self._delivered = 0
         self._arrives = 0.0
         self._oldest = 0.0
         self._retransmit = _RETRANSMIT[0]
         self._is_retransmitting = False
+        self._check = Check(self._look, lambda: self.is_open and self.unacknowledged > 0)
         computer.ends[self] = None
 
     # -- the program's side ------------------------------------------------------------------------------
@@ -219,19 +266,50 @@ class End:
         """Number of bytes that `send` would accept."""
         return max(self.send_buffer - self.unacknowledged, 0)
 
-    def send(self, data: bytes) -> int:
-        """Pass bytes to the kernel; return the number of bytes that it accepted."""
-        taken = bytes(data[: self.room])
-        if taken:
-            self._send(taken, len(taken))
-            self.network.scheduler.note(taken)
-        return len(taken)
+    @property
+    def is_writable(self) -> bool:
+        """Whether a third of the send buffer is free; only then, Linux reports room."""
+        return 3 * (self.send_buffer - self._sent + self._acknowledged) >= self.send_buffer
 
-    def take(self, size: int) -> bytes:
-        """Return and remove received bytes, at most `size`."""
-        data = bytes(self.received[:size])
-        del self.received[:size]
-        return data
+    def send(self, data: bytes | Deferred) -> int:
+        """Pass data to the kernel; return the number of bytes that it accepted."""
+        size, room = len(data), self.room
+        if size > room:
+            data, size = bytes(data)[:room], room
+        if size:
+            self._send(data, size)
+            self.network.scheduler.note(data if isinstance(data, bytes) else data.head)
+        return size
+
+    def send_batch(self, packets: Sequence[Deferred], delays: Sequence[float]) -> None:
+        """Send packets, each after a delay in s from now. They arrive together, when the last one arrives.
+
+        The caller has checked `quiet_time` and `room`.
+        """
+        assert self.peer is not None
+        route, scheduler = self.network.route(self.computer, self.peer.computer), self.network.scheduler
+        now, jitter, draw, arrives = scheduler.now, route.jitter, scheduler.random.random, self._arrives
+        arrivals = []
+        takes = route.latency + len(packets[0]) / route.bandwidth
+        for delay in delays:
+            arrives = max(now + delay + takes + jitter * draw(), arrives)
+            arrivals.append(arrives)
+        self._arrives = arrives
+        batch = DeferredBatch(packets, [arrives - each for each in arrivals])
+        scheduler.note(batch.head)
+        self._send(batch, len(batch))
+
+    @property
+    def quiet_time(self) -> float:
+        """Time in s during which packets can be sent so that they arrive before anything else happens."""
+        peer = self.peer
+        if peer is None or self.unacknowledged or not (self.is_open and peer.is_open and peer.computer.is_running):
+            return 0.0
+        route = self.network.route(self.computer, peer.computer)
+        if route.is_silent:
+            return 0.0
+        longest = route.latency + route.jitter + BUFFER / route.bandwidth
+        return self.network.scheduler.quiet_until - self.network.scheduler.now - longest
 
     def shut(self) -> None:
         """Send the FIN: this end has finished sending."""
@@ -264,7 +342,7 @@ class End:
 
     # -- the network's side ------------------------------------------------------------------------------
 
-    def _send(self, data: bytes, size: int) -> None:
+    def _send(self, data: bytes | Deferred, size: int) -> None:
         if not self.unacknowledged:
             self._oldest = self.network.scheduler.now
             self._watch()
@@ -273,19 +351,25 @@ class End:
         self._segments.append(segment)
         self._transmit(segment)
 
-    def _transmit(self, segment: tuple[int, bytes]) -> None:
+    def _transmit(self, segment: tuple[int, bytes | Deferred]) -> None:
         peer = self.peer
         assert peer is not None
         route = self.network.route(self.computer, peer.computer)
         scheduler = self.network.scheduler
-        when = (
-            scheduler.now + route.latency + route.jitter * scheduler.random.random() + len(segment[1]) / route.bandwidth
-        )
+        if isinstance(segment[1], DeferredBatch):
+            when = max(scheduler.now + route.latency, self._arrives)  # `send_batch` has determined it
+        else:
+            when = (
+                scheduler.now
+                + route.latency
+                + route.jitter * scheduler.random.random()
+                + len(segment[1]) / route.bandwidth
+            )
         # The order within a connection is kept.
         self._arrives = when = max(when, self._arrives)
         scheduler.call_at(when, lambda: self._arrive(segment))
 
-    def _arrive(self, segment: tuple[int, bytes]) -> None:
+    def _arrive(self, segment: tuple[int, bytes | Deferred]) -> None:
         peer = self.peer
         assert peer is not None
         if not self.network.carries(self.computer, peer.computer) or not peer.computer.is_on:
@@ -302,7 +386,11 @@ class End:
             return  # no room: sent again later
         self._delivered += len(data) or 1
         if data and not peer.is_closing:
-            peer.received += data
+            owner = peer.owner
+            if isinstance(data, Deferred) and not peer.received and owner is not None and owner.pass_on(data):
+                self._acknowledge()
+                return
+            peer.received.put(data)
         elif data:
             peer._send_reset(self)  # no program will read it
             return
@@ -319,6 +407,7 @@ class End:
 
         def acknowledged() -> None:
             if self.network.carries(peer.computer, self.computer) and self.is_open and delivered > self._acknowledged:
+                was_full = not self.is_writable
                 self._acknowledged = delivered
                 while self._segments and self._segments[0][0] < delivered:
                     self._segments.popleft()
@@ -326,7 +415,8 @@ class End:
                 self._retransmit = _RETRANSMIT[0]
                 if not self.unacknowledged and self.is_closing:
                     self._break(0)
-                self._changed()
+                if was_full:
+                    self._changed()
 
         self.network.scheduler.call_at(self.network.scheduler.now + route.latency, acknowledged)
 
@@ -339,7 +429,7 @@ class End:
         pause = self._retransmit
         if self.user_timeout:
             pause = min(pause, self._oldest + self.user_timeout - scheduler.now)
-        scheduler.call_at(scheduler.now + max(pause, _LEAST), self._look)
+        scheduler.call_at(scheduler.now + max(pause, _LEAST), self._check)
 
     def _look(self) -> None:
         self._is_retransmitting = False

@@ -22,7 +22,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from struct import Struct
 from types import FrameType
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
+
+T = TypeVar("T")
 
 #: Trace function for `sys.settrace`.
 Tracer = Callable[[FrameType, str, Any], Any]
@@ -63,6 +65,22 @@ class TaskComputer(Protocol):
     is_running: bool
     starts_threads: bool
     held: list[Task]
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """Call of `call_at` that does nothing except in rare cases.
+
+    Attributes:
+        look: Function that is called. It has no effect on anything else unless `is_needed` returns True.
+        is_needed: Function that returns whether the call has work to do.
+    """
+
+    look: Callable[[], object]
+    is_needed: Callable[[], bool]
+
+    def __call__(self) -> object:
+        return self.look()
 
 
 @dataclass(eq=False, slots=True)
@@ -130,6 +148,8 @@ class Scheduler:
         self._left = self._draw()
         # Whether the scheduler currently runs a due call, and not a step of the running task.
         self._is_choosing = False
+        # Whether a function of `stand_in` runs.
+        self._stands_in = False
         # Lock that is released by a thread which `end` has ended.
         self._ended = allocate_lock()
         self.running: Task  # since `adopt`
@@ -183,7 +203,7 @@ class Scheduler:
         self._left -= 1
         if self._left <= 0:
             self._left = self._draw()
-            if not self.is_ending:
+            if not self.is_ending and not self._stands_in:
                 self.yield_()
 
     def yield_(self) -> None:
@@ -208,16 +228,22 @@ class Scheduler:
             deadline: Simulated time, in s; None for none.
             waiters: Queue where other code finds the task. At the deadline, the task is removed from it.
         """
+        if self._stands_in:
+            raise RuntimeError(f"work that was done in place of the thread {self.running.name!r} must not wait")
         task = self.running
+        # If a call of `call_at` waits although it must not, the task was already waiting, and waits again afterwards.
+        outer, outer_waiters = (task.deadline, task.waiters) if self._is_choosing else (None, None)
         task.is_late = False
         task.deadline = deadline
         task.waiters = waiters
         if waiters is not None:
             waiters.append(task)
         if deadline is not None and deadline < task.alarm:
-            self._set_alarm(task, deadline)
+            self.set_alarm(task, deadline)
         self._change(task)
-        task.deadline = None
+        task.deadline, task.waiters = outer, outer_waiters
+        if outer is not None and outer < task.alarm:
+            self.set_alarm(task, outer)
         return not task.is_late
 
     def deadline(self, seconds: float | None) -> float | None:
@@ -247,6 +273,45 @@ class Scheduler:
         """Call a function at a simulated time, between two steps of the tasks. It must not wait."""
         self._numbers += 1
         heapq.heappush(self._due, (when, self._numbers, call, None))
+
+    def stand_in(self, task: Task, call: Callable[[], T]) -> T:
+        """Call a function in place of a waiting task, without a change of threads.
+
+        Use it only in a call of `call_at`. The function runs on the computer of the task. It must not wait, and must
+        not depend on `threading.current_thread`, which is the thread that would have waited otherwise.
+        """
+        self.trace = zlib.crc32(_CHOICE.pack(task.number, self.now), self.trace)
+        running, ident = self.running, self.ident
+        self.running, self.ident, self._stands_in = task, get_ident(), True
+        try:
+            return call()
+        finally:
+            self.running, self.ident, self._stands_in = running, ident, False
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether every task waits, so that none was interrupted while it held a lock.
+
+        While lines are traced, a task might be interrupted anywhere.
+        """
+        return not self._ready and self._tracer is None
+
+    @property
+    def quiet_until(self) -> float:
+        """Time until which nothing can happen, except for the call of `call_at` that is running."""
+        due = self._due
+        while due and self.is_idle:
+            when, _, call, task = due[0]
+            if isinstance(call, Check) and not call.is_needed():
+                heapq.heappop(due)
+                call()
+            elif task is not None and (task.alarm != when or task.deadline is None or task.deadline > when):
+                heapq.heappop(due)
+                if task.alarm == when:
+                    self._ring(task)
+            else:
+                return min(when, self.limit)
+        return self.now
 
     def note(self, data: bytes) -> None:
         """Add data to the checksum of the trace."""
@@ -347,7 +412,8 @@ class Scheduler:
         self.ident = task.ident
         task.baton.release()
 
-    def _set_alarm(self, task: Task, when: float) -> None:
+    def set_alarm(self, task: Task, when: float) -> None:
+        """Check the deadline of a waiting task at this time."""
         task.alarm = when
         self._numbers += 1
         heapq.heappush(self._due, (when, self._numbers, None, task))
@@ -362,10 +428,10 @@ class Scheduler:
         if deadline is None or task.is_ready or task.is_over:
             return
         if deadline > self.now:
-            self._set_alarm(task, deadline)
+            self.set_alarm(task, deadline)
         else:
             task.is_late = True
-            if task.waiters is not None:
+            if task.waiters is not None and task in task.waiters:
                 task.waiters.remove(task)
             self.make_ready(task)
 
@@ -379,6 +445,10 @@ class Scheduler:
                     self._is_choosing = True
                     call()
                     self._is_choosing = False
+                    host = self.running
+                    if host.deadline is not None and host.alarm == _NEVER and not host.is_ready:
+                        # The call has waited although it must not, and the alarm rang meanwhile.
+                        self.set_alarm(host, host.deadline)
                 elif task is not None and task.alarm == when:
                     self._ring(task)
             if ready:
@@ -419,15 +489,15 @@ class Scheduler:
 
 
 #: The active scheduler, in a list with one element.
-_current: list[Scheduler | None] = [None]
+installed: list[Scheduler | None] = [None]
 
 
 def current() -> Scheduler | None:
     """Return the scheduler if the calling thread is the running task; else None."""
-    scheduler = _current[0]
+    scheduler = installed[0]
     return scheduler if scheduler is not None and scheduler.ident == get_ident() else None
 
 
 def install(scheduler: Scheduler | None) -> None:
     """Make this the scheduler of the process."""
-    _current[0] = scheduler
+    installed[0] = scheduler

@@ -8,9 +8,10 @@ import os
 import selectors
 import socket as _socket
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, cast
 
+from ..deferred import Deferred
 from .network import BUFFER, Computer, End, Listener, Network
 from .scheduler import Scheduler, Task, current
 
@@ -94,6 +95,14 @@ class Socket(Pollable):
         # Size that a waiting `recv` requests, and bytes that the kernel has passed to it while it could not return.
         self._asked = 0
         self._given = b""
+        #: Function that returns whether this program currently accepts several steady packets at once.
+        self.takes_batches: Callable[[], bool] = _never
+        #: Function that takes a steady packet in place of the thread that waits for data. It must not wait. It returns
+        #: whether it has taken the packet, and the seconds that the thread waits for the next data; None for no limit.
+        self.take_in_place: Callable[[Deferred], tuple[bool, float | None]] = _takes_nothing
+        # Thread that waits in `recv_deferred`, and the end of its wait.
+        self._reader: Task | None = None
+        self._until: float | None = None
         if end is not None:
             end.owner = self
 
@@ -230,6 +239,46 @@ class Socket(Pollable):
 
     def recv(self, size: int, flags: int = 0) -> bytes:
         end = self._connected()
+        given = self._wait_for_data(end, size, flags)
+        if given or not end.received:
+            return given
+        return end.received.peek(size) if flags & _socket.MSG_PEEK else end.received.take(size)
+
+    def recv_deferred(self, size: int) -> bytes | Deferred:
+        """Receive as `recv` does, but return a single packet whose bytes are not made yet as it is."""
+        end = self._connected()
+        self._reader = self._scheduler().running
+        try:
+            given = self._wait_for_data(end, size, 0)
+        finally:
+            self._reader = None
+        return given if given or not end.received else end.received.take_deferred(size)
+
+    def pass_on(self, data: Deferred) -> bool:
+        """Pass an arrived packet to the program in place of the thread that waits for it, without a change of threads.
+
+        Return False if no thread waits, or the program cannot take the packet in this way.
+        """
+        reader, scheduler = self._reader, self._sockets.scheduler
+        if reader is None or not data.is_steady or not self._computer.is_running or not scheduler.is_idle:
+            return False
+        try:
+            is_taken, seconds = scheduler.stand_in(reader, lambda: self.take_in_place(data))
+        except Exception as error:
+            reader.error = error
+            scheduler.make_ready(reader)
+            return True
+        if is_taken:
+            self._until = reader.deadline = None if seconds is None else scheduler.now + seconds / self._computer.rate
+            if reader.deadline is not None and reader.deadline < reader.alarm:
+                scheduler.set_alarm(reader, reader.deadline)
+        return is_taken
+
+    def _wait_for_data(self, end: End, size: int, flags: int) -> bytes:
+        """Wait until data can be received, or until the end of the data.
+
+        Return bytes that the kernel has already passed to this call.
+        """
         self._step()
         if not (end.received or end.is_ended or end.error or not end.is_open or self._is_shut_for_reading):
             if flags & _DONTWAIT:
@@ -246,11 +295,8 @@ class Socket(Pollable):
             if self._given:
                 data, self._given = self._given, b""
                 return data
-        if end.received:
-            if flags & _socket.MSG_PEEK:
-                return bytes(end.received[:size])
-            return end.take(size)
-        self._raise_error(end)
+        if not end.received:
+            self._raise_error(end)
         return b""
 
     def recv_into(self, buffer: Any, nbytes: int = 0, flags: int = 0) -> int:
@@ -262,7 +308,8 @@ class Socket(Pollable):
     def send(self, data: Any, flags: int = 0) -> int:
         end = self._connected()
         self._step()
-        data = bytes(data)
+        if not isinstance(data, Deferred):
+            data = bytes(data)
         if end.is_open and not end.is_shut and not end.room:
             if flags & _DONTWAIT:
                 raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
@@ -271,6 +318,24 @@ class Socket(Pollable):
         if not end.is_open or end.is_shut:
             raise BrokenPipeError(errno.EPIPE, "Broken pipe")
         return end.send(data)
+
+    @property
+    def quiet_time(self) -> float:
+        """Time in s for which packets can be sent at once by `send_batch`; 0 if the peer needs each packet at its time.
+
+        It is on the clock of this computer.
+        """
+        end = self._end
+        if end is None or end.peer is None:
+            return 0.0
+        peer = end.peer.owner
+        if not isinstance(peer, Socket) or not peer.takes_batches() or self._computer.rate != 1.0:
+            return 0.0
+        return max(end.quiet_time, 0.0)
+
+    def send_batch(self, packets: Sequence[Deferred], delays: Sequence[float]) -> None:
+        """Send steady packets, each after a delay in s from now; see `DeferredBatch`."""
+        self._connected().send_batch(packets, delays)
 
     def sendall(self, data: Any, flags: int = 0) -> None:
         rest = memoryview(data).cast("B")
@@ -351,7 +416,7 @@ class Socket(Pollable):
             found |= _ERR | _HUP | _IN | _OUT
         if not end.is_open:
             found |= _HUP | _IN | _OUT
-        elif 3 * end.room >= end.send_buffer:  # Linux reports room when a third is free
+        elif end.is_writable:
             found |= _OUT
         if end.is_ended or self._is_shut_for_reading:
             found |= _IN | _RDHUP
@@ -360,7 +425,7 @@ class Socket(Pollable):
     def changed(self) -> None:
         super().changed()
         if self._asked and self._end is not None and self._end.received and self._computer.is_in_c and not self._given:
-            self._given = self._end.take(self._asked)
+            self._given = self._end.received.take(self._asked)
 
     def _wait(self, mask: int, timeout: float | None, late: type[OSError] = TimeoutError) -> None:
         """Wait for one of these events, or for the end of the socket."""
@@ -369,9 +434,9 @@ class Socket(Pollable):
             scheduler = self._scheduler()
             if timeout == 0.0:
                 raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
-            deadline = scheduler.deadline(timeout)
+            self._until = scheduler.deadline(timeout)
             while not self.events() & mask:
-                if not self.wait_for(mask, deadline):
+                if not self.wait_for(mask, self._until):
                     raise late(errno.EAGAIN, "timed out") if late is BlockingIOError else late("timed out")
         if self._number < 0 and not self._is_shut_for_reading:
             raise OSError(errno.EBADF, "Bad file descriptor")
@@ -408,6 +473,14 @@ class Socket(Pollable):
         error, end.error = end.error, 0
         if error:
             raise OSError(error, os.strerror(error))
+
+
+def _never() -> bool:
+    return False
+
+
+def _takes_nothing(data: Deferred) -> tuple[bool, float | None]:
+    return False, None
 
 
 class Sockets:
@@ -592,6 +665,46 @@ class Selector(Pollable, selectors._BaseSelectorImpl):
         while not (found := self._ready()) and (timeout is None or timeout > 0):
             if not self.wait_for(_IN, deadline):
                 timeout = 0
+        return self._keys(found)
+
+    def select_or_call(
+        self, seconds: float, call: Callable[[], float | None]
+    ) -> list[tuple[selectors.SelectorKey, int]]:
+        """Select without a timeout, and call a function after `seconds`, without a change of threads.
+
+        Args:
+            seconds: Time until the first call, in s.
+            call: Function that must not wait. It returns the seconds until its next call. If it returns None,
+                `select_or_call` returns.
+        """
+        scheduler = self._sockets.scheduler
+        task = scheduler.running
+        is_waiting = True
+
+        def call_now() -> None:
+            nonlocal is_waiting
+            if not is_waiting:
+                return
+            again = None
+            if task.computer.is_running and scheduler.is_idle:
+                try:
+                    again = scheduler.stand_in(task, call)
+                except Exception as error:
+                    task.error = error
+            if again is None:
+                is_waiting = False
+                scheduler.make_ready(task)
+            else:
+                scheduler.call_at(scheduler.now + again / task.computer.rate, call_now)
+
+        scheduler.step()
+        scheduler.call_at(scheduler.now + seconds / task.computer.rate, call_now)
+        while not (found := self._ready()) and is_waiting:
+            self.wait_for(_IN, None)
+        is_waiting = False
+        return self._keys(found)
+
+    def _keys(self, found: list[tuple[int, int]]) -> list[tuple[selectors.SelectorKey, int]]:
         ready = []
         for number, events in found:
             key = self._fd_to_key[number]  # type: ignore[attr-defined]

@@ -17,6 +17,7 @@ import socket
 import sys
 import threading
 import time
+from _thread import get_ident
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import thread as _pool
 from types import ModuleType
@@ -27,7 +28,7 @@ from ..names import StrictAttributes
 from . import primitives
 from .network import Computer, Network, Route
 from .preemption import Preemption, is_importing
-from .scheduler import STEP, Scheduler, current, install
+from .scheduler import STEP, Scheduler, current, install, installed
 from .sockets import Poll, Selector, Socket, Sockets
 
 if sys.platform != "win32":
@@ -278,8 +279,9 @@ def _replacements(sockets: Sockets) -> list[tuple[object, object]]:
 
     def clock(real: Callable[[], Any], epoch: float, scale: int) -> Callable[[], Any]:
         def read() -> Any:
-            scheduler = current()
-            if scheduler is None:
+            # A thread reads the clock several times for each packet, so the body of `current` is repeated here.
+            scheduler = installed[0]
+            if scheduler is None or scheduler.ident != get_ident():
                 return real()
             scheduler.now += STEP
             computer = scheduler.running.computer

@@ -36,11 +36,11 @@ from .connection_life import (
 from .fanout import FanOut, Sink
 from .flight_record import FlightRecord
 from .packet_queue import PacketQueue, Policy
-from .receiver import Receiver
+from .receiver import DeferredReceiver, Receiver
 from .scheduling import urgent
 from .silence import SilenceMonitor
 from .statistics import StreamCounters
-from .subscription import InlineDelivery, Subscription, ThreadedDelivery
+from .subscription import InlineDelivery, Subscription, ThreadedDelivery, never
 
 _log = logging.getLogger(__name__)
 
@@ -349,15 +349,25 @@ class Connection:
         *,
         deadline: float | None = None,
         on_deadline: Callable[[float], object] | None = None,
+        only_changes: Callable[[], bool] = never,
         owner: object = None,
     ) -> Subscription:
         """Subscribe a callback that the reader calls.
+
+        Args:
+            kind, callback, deadline, on_deadline, owner: See `Feed.subscribe`.
+            only_changes: Function that returns whether the callback currently needs only the last of several steady
+                packets, because it looks only at modes and signals; see `linkcore.deferred.DeferredBatch`.
 
         Raises:
             RemoteError, LocalError, Closed: See `start`.
         """
         delivery = InlineDelivery(
-            callback, self.counters, self.reads_here, **self._options(kind, deadline, on_deadline)
+            callback,
+            self.counters,
+            self.reads_here,
+            only_changes=only_changes,
+            **self._options(kind, deadline, on_deadline),
         )
         self._join(delivery, kind)
         try:
@@ -396,6 +406,12 @@ class Connection:
             self._life.attempt.has_opened = True
         self._tell(news)
         self._settle()
+        if getattr(self._transport, "delivers_deferred", False):
+            receiver = DeferredReceiver(self.name, protocol, self.counters, self.flight)
+            if receiver.takes_deferred:
+                take: Any = partial(self._take_in_place, receiver)
+                self._transport.accept_deferred(self.fan_out.takes_batches, take)  # type: ignore[attr-defined]
+            return receiver
         return Receiver(self.name, protocol, self.counters, self.flight)
 
     def _settle(self) -> None:
@@ -448,6 +464,16 @@ class Connection:
             fan_out.publish(packets)
         else:
             silence.no_packet(stamp[0])
+
+    def _take_in_place(self, receiver: Receiver, data: Any) -> tuple[bool, float | None]:
+        """Publish a steady packet of a simulated connection in place of the reader, which waits for it.
+
+        Return whether the packet was published, and the seconds that the reader waits for the next data.
+        """
+        if not self.fan_out.takes_at_once():
+            return False, None
+        self._take(receiver, data, Stamp.now())
+        return True, self.silence.wait
 
     def _disconnected(self, error: Exception | None) -> None:
         self._transport.abort()

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 from ..clock import Stamp
 from .connection_life import Chunk, ConnectionEvent, Traffic
+from .receiver import SteadyPackets
 from .subscription import Delivery
 
 #: Makes a NamedTuple without its own `__new__`, which would be a call of Python code for each packet.
@@ -34,6 +35,12 @@ class Sink(Protocol):
 
     def offer(self, packets: Sequence[Any]) -> None:
         """Accept packets."""
+
+    def offer_steady(self, packets: Sequence[Any]) -> None:
+        """Accept several packets that differ only in time and in measured or computed values."""
+
+    def only_changes(self) -> bool:
+        """Whether the sink currently needs only the last of such packets."""
 
     def end(self) -> None:
         """Accept no more packets; queued packets are still delivered."""
@@ -83,6 +90,8 @@ class FanOut:
         self._deliveries: dict[Delivery, None] = {}
         # The reader uses these tuples, which are made from the routes: all sinks, the queues, the inline callbacks.
         self._offers: tuple[tuple[_Offer, ...], tuple[_Offer, ...], tuple[_Offer, ...]] = ((), (), ())
+        # The same sinks, for steady packets.
+        self._steady: tuple[Sink, ...] = ()
         self.taps: tuple[Sink, ...] = ()
         self._last: Any = None  # the newest packet, only for streams whose packets have no parts
         self._newest: dict[type, tuple[int, Any]] = {}
@@ -95,7 +104,7 @@ class FanOut:
         for sink in self.taps:
             if rest and not sink.offered:
                 sink.offer((Chunk(rest, stamp),))
-            sink.offer((_new(Chunk, (data, stamp)),))
+            sink.offer((_new(Chunk, (bytes(data), stamp)),))
 
     def publish(self, packets: Sequence[Any]) -> None:
         """Publish one or more packets, in order.
@@ -112,7 +121,15 @@ class FanOut:
                 for part in self._parts(packet):
                     self._remember(part)
         every, queues, callbacks = self._offers
-        if len(packets) == 1 or len(callbacks) < 2:
+        if len(packets) == 1:
+            for offer in every:
+                offer(packets)
+            return
+        if isinstance(packets, SteadyPackets):
+            for sink in self._steady:
+                sink.offer_steady(packets)
+            return
+        if len(callbacks) < 2:
             for offer in every:
                 offer(packets)
             return
@@ -121,6 +138,16 @@ class FanOut:
         for packet in packets:
             for offer in callbacks:
                 offer((packet,))
+
+    def takes_batches(self) -> bool:
+        """Whether no sink needs each of several steady packets at the time of its arrival."""
+        return not self.taps and self._parts is None and all(sink.only_changes() for sink in self._steady)
+
+    def takes_at_once(self) -> bool:
+        """Whether no sink makes the reader wait, or calls a function of the user, for a steady packet."""
+        if self.taps or self._parts is not None:
+            return False
+        return all(not sink.makes_reader_wait and (not sink.is_inline or sink.only_changes()) for sink in self._steady)
 
     def tell(self, event: ConnectionEvent) -> None:
         """Publish a change of the connection."""
@@ -232,6 +259,7 @@ class FanOut:
                 for is_inline in (False, True)
             )
             self._offers = (queues + callbacks, queues, callbacks)
+            self._steady = tuple(route.sink for route in offered)
             self.taps = tuple(route.sink for route in routes if route.group is Traffic)
 
     # -- callbacks -------------------------------------------------------------------------------

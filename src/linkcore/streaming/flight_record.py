@@ -11,9 +11,10 @@ import threading
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from .. import clock
+from ..deferred import Deferred, DeferredBatch
 
 #: Time that a record covers, in s.
 SECONDS = 10.0
@@ -55,7 +56,7 @@ class FlightRecord:
     """
 
     def __init__(self, most: int, size: int) -> None:
-        self._entries: deque[bytes | float] = deque(maxlen=2 * most)
+        self._entries: deque[bytes | Deferred | float] = deque(maxlen=2 * most)
         self.keep = self._entries.append
         self._size = size
         self._batched = 0
@@ -82,18 +83,32 @@ class FlightRecord:
 
     def since(self, begin: float) -> tuple[list[bytes], list[float]]:
         """Return the chunks that arrived at `begin` or later, and their times. Any thread may call this."""
-        entries: list[bytes | float] = []
+        entries: list[bytes | Deferred | float] = []
         for _ in range(_TRIES):
             try:
                 entries = list(self._entries)
                 break
             except RuntimeError:  # the reader has changed it meanwhile
                 continue
-        if entries and not isinstance(entries[0], bytes):  # copied while the oldest chunk was being replaced
+        if entries and isinstance(entries[0], float):  # copied while the oldest chunk was being replaced
             del entries[0]
-        data, times = entries[::2], entries[1::2]
+        data, times = _in_bytes(entries[::2], entries[1::2])
         first = bisect_left(times, begin)
-        return data[first:], times[first:]  # type: ignore[return-value]
+        return data[first:], times[first:]
+
+
+def _in_bytes(chunks: Sequence[Any], times: Sequence[Any]) -> tuple[list[bytes], list[float]]:
+    """Return the same chunks as bytes. The packets of a `DeferredBatch` become one chunk each."""
+    if all(isinstance(chunk, bytes) for chunk in chunks):
+        return list(chunks), list(times)
+    parts = [
+        (bytes(packet), time - age)
+        for chunk, time in zip(chunks, times, strict=False)
+        for packet, age in (
+            zip(chunk.packets, chunk.ages, strict=True) if isinstance(chunk, DeferredBatch) else ((chunk, 0.0),)
+        )
+    ]
+    return [data for data, _ in parts], [time for _, time in parts]
 
 
 class Sent(NamedTuple):

@@ -7,12 +7,14 @@ same in `data_received`.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from ..clock import Stamp
+from ..deferred import Deferred, DeferredBatch
 from ..errors import PacketError
 from ..text import printable
+from ..wire.deferred_packet import DeferredPacket
 from ..wire.framing import PacketProtocol, is_strict, strictly
 from .flight_record import FlightRecord
 from .statistics import StreamCounters
@@ -122,3 +124,70 @@ class Receiver:
         failed = self._counters.failed
         if failed & (failed - 1) == 0:  # log at each power of two, because bad packets at 500 Hz must not fill the disk
             _log.warning("%s: bad packet, %d so far: %s", self._name, failed, printable(error))
+
+
+class SteadyPackets(Sequence[Any]):
+    """States of a `DeferredBatch`, in order. Each state is made when it is accessed.
+
+    Args:
+        batch: Packets.
+        stamp: Arrival of the last packet.
+    """
+
+    def __init__(self, batch: DeferredBatch[DeferredPacket], stamp: Stamp) -> None:
+        self._batch = batch
+        self._stamp = stamp
+
+    def __len__(self) -> int:
+        return len(self._batch.packets)
+
+    def __getitem__(self, at: Any) -> Any:
+        if isinstance(at, slice):
+            return [self[each] for each in range(len(self))[at]]
+        age, (monotonic, wall) = self._batch.ages[at], self._stamp
+        return self._batch.packets[at].state(Stamp(monotonic - age, wall - age))
+
+
+class DeferredReceiver(Receiver):
+    """Receiver for a simulated connection, which delivers bytes, and packets whose bytes are not made yet.
+
+    It counts the same as `Receiver` does for the bytes of the packets.
+    """
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        take = None if self._strictly is not None else getattr(self._protocol, "take_deferred", None)
+        self._take: Callable[[DeferredPacket, Stamp], Any] | None = take
+
+    @property
+    def takes_deferred(self) -> bool:
+        """Whether the protocol can find the state of a packet without its bytes."""
+        return self._take is not None
+
+    def feed(self, data: bytes | Deferred, stamp: Stamp) -> Sequence[Any]:
+        """See `Receiver.feed`."""
+        first = data.packets[0] if isinstance(data, DeferredBatch) else data
+        if self._take is None or not isinstance(first, DeferredPacket):
+            return super().feed(bytes(data), stamp)
+        state = self._take(first, stamp)
+        if state is None:
+            return super().feed(bytes(data), stamp)
+        count = len(data.packets) if isinstance(data, DeferredBatch) else 1
+        counters, cycles, keep = self._counters, self._protocol.cycles, self._keep
+        counters.bytes += len(data)
+        counters.received += count
+        if keep is not None:
+            keep(data)
+            keep(stamp[0])
+        if cycles is not None:
+            cycles.take_moment(cycles.time(first.head)[0])
+        counters.decoded += count
+        packets: Sequence[Any] = (state,)
+        if isinstance(data, DeferredBatch):
+            packets = SteadyPackets(data, stamp)
+            if cycles is not None:
+                cycles.last = cycles.time(data.packets[-1].head)[0]
+        now = counters.arrived = stamp[0]
+        if now >= counters.due:
+            counters.look(now, cycles)
+        return packets

@@ -43,6 +43,11 @@ def check_deadline(deadline: float | None, on_deadline: Callable[[float], object
     return deadline
 
 
+def never() -> bool:
+    """Return False: a callback needs each packet."""
+    return False
+
+
 class Delivery:
     """Delivery of packets to one callback, one packet at a time, with counters of the results.
 
@@ -246,9 +251,12 @@ class InlineDelivery(Delivery):
         callback: See `Delivery`.
         counters: Counters of the stream, which include the slow calls.
         reads_here: Function that returns whether the current thread is the reader.
+        only_changes: Function that returns whether the callback currently needs only the last of several steady
+            packets.
 
     Attributes:
         offered: Number of packets that were offered.
+        only_changes: See the argument.
     """
 
     #: Inline callbacks get packets after the queues, so that a slow callback does not delay subscribers with their own
@@ -263,9 +271,11 @@ class InlineDelivery(Delivery):
         callback: Callable[[Any], object],
         counters: StreamCounters,
         reads_here: Callable[[], bool],
+        only_changes: Callable[[], bool] = never,
         **options: Any,
     ) -> None:
         super().__init__(callback, **options)
+        self.only_changes = only_changes
         self._counters = counters
         self.offered = 0
         # The reader sets its flag, and then checks whether this is closed. A thread that closes marks it closed, and
@@ -311,6 +321,17 @@ class InlineDelivery(Delivery):
         self._is_calling = False
         if self._deadline is not None:
             self._last = clock.now()
+
+    def offer_steady(self, packets: Sequence[Any]) -> None:
+        """Call back with the last packet, or with each packet if the callback needs them.
+
+        Packets without a call count as delivered, because the last one shows the same to the callback.
+        """
+        if self.only_changes() and not self._is_closed:
+            self.offered += len(packets) - 1
+            self._delivered += len(packets) - 1
+            packets = packets[-1:]
+        self.offer(packets)
 
     def end(self) -> None:
         """Accept no more packets. Idempotent."""

@@ -121,6 +121,13 @@ class MissedCycles:
                 last, at_most = moment, self.at_most
         self.last = last
 
+    def take_moment(self, moment: float) -> None:
+        """Count one received packet, given its time by the controller's clock, in s."""
+        step = moment - self.last
+        if not 0.0 < step <= self.at_most:
+            self._step(step)
+        self.last = moment
+
     def _set_at_most(self) -> None:
         self.at_most = 0.0 if self._shorter else (1.0 + _SLACK) * self._period
 

@@ -103,12 +103,19 @@ def _getter(shape: Shape, number: int, has_text: bool) -> Callable[[Any], Any]:
 
         def get(self: Any) -> Any:
             unpack_from, offset, meaning = self._layout.singles[number]
-            return meaning(unpack_from(self._data, offset))
+            try:
+                numbers = unpack_from(self._data, offset)
+            except TypeError:  # a `DeferredPacket`; the check is free for bytes, because they raise nothing
+                numbers = self._data.numbers(self._layout.names[number])
+            return meaning(numbers)
     else:
 
         def get(self: Any) -> Any:
             unpack_from, offset, meaning = self._layout.singles[number]
-            (value,) = unpack_from(self._data, offset)
+            try:
+                (value,) = unpack_from(self._data, offset)
+            except TypeError:
+                (value,) = self._data.numbers(self._layout.names[number])
             return value if meaning is None else meaning(value)
 
     return get

@@ -28,7 +28,8 @@ class State:
     """
 
     # If the packet contains text, `_values` has the values of all fields. Otherwise it has the arrays of floats, or is
-    # None until the first array is read and `StateLayout.swap` has made them.
+    # None until the first array is read and `StateLayout.swap` has made them. In simulated time, both `_data` and
+    # `_values` might be a `DeferredPacket`.
     __slots__ = ("_data", "_layout", "_stamp", "_values")
 
     #: Name -> declaration of the field, in the order of the declarations.
@@ -45,10 +46,10 @@ class State:
 
     def __init__(self, version: str | Version | None = None, /, **fields: Any) -> None:
         layout = self.LAYOUTS.of(version, fields)
-        self._data = layout.encode(fields)
+        self._data = data = layout.encode(fields)
         self._layout = layout
         self._stamp = None
-        self._values = layout.values(self._data)
+        self._values = layout.values(data)
 
     @classmethod
     def dtype(cls, version: str | Version | None = None) -> np.dtype[Any]:
@@ -66,22 +67,23 @@ class State:
     @property
     def tail(self) -> bytes:
         """Bytes after the last known field."""
-        return self._data[self._layout.end(self._data) :]
+        data = bytes(self._data)
+        return data[self._layout.end(data) :]
 
     def __bytes__(self) -> bytes:
         """Return the packet as on the wire, header and tail included."""
-        return self._data
+        return bytes(self._data)
 
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
             return NotImplemented
-        return self._data == other._data
+        return bytes(self._data) == bytes(other._data)
 
     def __hash__(self) -> int:
-        return hash(self._data)
+        return hash(bytes(self._data))
 
     def __reduce__(self) -> tuple[object, ...]:
-        return (_restored, (type(self), self._data, self._layout.first, self._layout.has_block, self._stamp))
+        return (_restored, (type(self), bytes(self._data), self._layout.first, self._layout.has_block, self._stamp))
 
     def __dir__(self) -> list[str]:
         # Omit each `Elsewhere`, because it represents a name that the class does not have.
@@ -100,7 +102,7 @@ class State:
         """
         from .schema import dissect  # imported here, because it imports construct, which takes long
 
-        return dissect(self._layout, self._data)
+        return dissect(self._layout, bytes(self._data))
 
     def to_dict(self) -> dict[str, Any]:
         """Return name -> plain Python value of each sent field: numbers, lists and text.

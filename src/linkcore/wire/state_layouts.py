@@ -37,6 +37,7 @@ class StateLayout(Layout):
         singles: Reader of each field of the class; a field that is not sent is read as None.
         vectors: For each field of the class that is an array of floats, its items in the array that `swap` makes.
         swap: ``swap(state)`` returns all arrays of floats as one read-only float64 array, which the state keeps.
+        arrays: Name of each array of floats, by its first item in the array that `swap` makes.
     """
 
     decode: Callable[..., Any]
@@ -60,6 +61,10 @@ class StateLayout(Layout):
                 self.swap, items = _swap_of_numbers(self), {place: place.at for place in arrays}
             self.vectors = [None if place is None else items.get(place) for place in places]  # type: ignore[misc]
         self.decode = self._decoder()
+
+    @cached_property
+    def arrays(self) -> dict[int, str]:
+        return {items.start: name for name, items in zip(self.names, self.vectors, strict=True) if items is not None}
 
     def _decoder(self) -> Callable[..., Any]:
         packet, size, new = self.packet, self.size, object.__new__

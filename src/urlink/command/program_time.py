@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from typing import Literal
 
 from linkcore.handle import Lifecycle
-from linkcore.streaming.packet_queue import latest
 from linkcore.streaming.peer_clock import EARLIER
 from linkcore.streaming.stream import Stream
 
@@ -211,5 +210,6 @@ def end_where_moved(life: Lifecycle, realtime: Stream[RealtimeState]) -> None:
         except ToleranceExceeded as error:
             life.fail(error, brake=True)
 
-    subscription = realtime.subscribe(look, policy=latest)
+    # The position is compared only during a pause. At other times, only the modes of a state matter.
+    subscription = realtime._connection.subscribe_inline(RealtimeState, look, only_changes=lambda: not pause.holds)
     life.on_end(lambda: subscription.close(0))

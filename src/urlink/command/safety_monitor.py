@@ -268,7 +268,7 @@ class SafetyMonitor:
             listening.add(connection.silence.watch(seconds, partial(self._fall_silent, name)))
             on_event = partial(self._on_event, name, listening)
             listening.add(connection.subscribe_inline(ConnectionEvent, on_event).close)
-            listening.add(connection.subscribe_inline(kind, on_state).close)
+            listening.add(connection.subscribe_inline(kind, on_state, only_changes=self._needs_only_changes).close)
         except BaseException:
             listening.end()
             with self._section.lock:
@@ -317,6 +317,11 @@ class SafetyMonitor:
     def _on_realtime(self, state: RealtimeState) -> None:
         status = Status(state.robot_mode, state.safety_mode)
         self._observe(lambda: self._interlock.report("realtime", status, self._came(state)))
+
+    def _needs_only_changes(self) -> bool:
+        """Whether a state that shows the same modes as the previous one changes nothing."""
+        is_settled = self.flight is None or self.flight.unsettled is None
+        return is_settled and not self._waiting and not self._section.is_held
 
     def _came(self, packet: State) -> float:
         return packet.received.monotonic if packet.received is not None else self.clock()

@@ -40,6 +40,12 @@ class Section:
         self._reads_here = reads_here
 
     @property
+    def is_held(self) -> bool:
+        """Whether a thread is in the section. It is known only in simulated time, and False otherwise."""
+        locked: Callable[[], bool] | None = getattr(self.lock, "locked", None)
+        return locked is not None and locked()
+
+    @property
     def may_wait(self) -> bool:
         """Whether the current thread can wait for data of the robot, because another thread receives them."""
         return not any(reads_here() for reads_here in self._reads_here)

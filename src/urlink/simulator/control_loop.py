@@ -21,6 +21,7 @@ from linkcore.threads import started
 from . import messages
 from .faults import FaultSchedule
 from .programs.runner import ProgramRunner
+from .robot.surroundings import Plane, Spring
 from .state import ControllerState
 
 
@@ -48,6 +49,40 @@ class ControlLoop:
             return cycle + 1
         fault = self._schedule.next_cycle(self._state.rate)
         return None if fault is None else max(cycle + 1, fault)
+
+    @property
+    def calls_users(self) -> bool:
+        """Whether a cycle calls code of the user, which might wait: a scene, a contact, or a source of set-points."""
+        world = self._state.surroundings
+        return (
+            world.scene is not None
+            or any(type(contact) not in (Plane, Spring) for contact in world.contacts)
+            or not self._runner.follows_own_source
+        )
+
+    @property
+    def is_self_contained(self) -> bool:
+        """Whether the next cycles depend only on the state of the controller, so that they can be executed early."""
+        return self._state.is_up and self._state.surroundings.is_empty and self._runner.is_self_contained
+
+    @property
+    def is_unchanging(self) -> bool:
+        """Whether only the time changes in the next cycles, until a client, a test or a fault changes something."""
+        state = self._state
+        return state.is_up and state.modes.is_unchanging and state.arm.is_unchanging and self._runner.is_unchanging
+
+    def rest(self, cycles: int) -> list[float]:
+        """Execute some cycles in which only the time changes; see `is_unchanging`.
+
+        Return the time of the arm, in s, at the beginning and after each cycle.
+        """
+        self._state.cycle += cycles
+        self._state.uptime += cycles
+        return self._state.arm.rest(cycles, self._state.period)
+
+    def next_fault(self) -> int | None:
+        """Return the cycle of the next scheduled fault; None if there is none."""
+        return self._schedule.next_cycle(self._state.rate)
 
     def advance(self) -> None:
         """Execute one cycle."""

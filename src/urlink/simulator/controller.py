@@ -546,7 +546,7 @@ class Controller(StrictAttributes):
 
     def realtime_packet(self) -> bytes:
         """Return the real-time packet of this cycle."""
-        return self._realtime.packet()
+        return bytes(self._realtime.packet())
 
     def state_package(self, first: bool = False) -> bytes:
         """Return the robot state of this cycle.

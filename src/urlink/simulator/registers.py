@@ -86,6 +86,11 @@ class Watchdogs:
             if variable in variables:
                 dog.fed = now
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether no watchdog is set."""
+        return not self._dogs
+
     def restart(self, now: int) -> None:
         """Restart all watchdogs in this cycle, as if all variables had just arrived."""
         for dog in self._dogs.values():

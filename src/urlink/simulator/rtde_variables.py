@@ -12,7 +12,7 @@ and Euromap values are zero. `actual_current_window` is 2 A, and `script_control
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import reduce
 from operator import add, mul
 from types import MappingProxyType
@@ -25,6 +25,7 @@ from urlink.protocol.rtde.variables import INPUTS
 from .registers import BITS, NUMBERS, Bank
 from .robot.characteristics import EXECUTION_TIME
 from .robot.modes import StopState
+from .robot.sensors import Sample
 from .state import ControllerState
 
 #: Initial value of `timestamp`, in s.
@@ -79,31 +80,45 @@ def _tool_analog_types(state: ControllerState) -> int:
 
 
 def robot_current(state: ControllerState) -> float:
+    """Return the robot current, in A."""
+    return current_of(state.arm.sample, state.arm.motors.torque_constants, state.modes.is_powered)
+
+
+def current_of(s: Sample, torque_constants: Sequence[float], is_powered: bool) -> float:
     """Return the robot current, in A: the sum of the parts for the electronics, the joint power and the motor heat.
 
     The joint power is that of the motor currents, so it includes friction. The formula was identified for a UR3e. It is
     assumed that it applies to other arms too.
+
+    Args:
+        s: Values of the sensors.
+        torque_constants: Torque constants of the motors, shape (6,), in Nm/A.
+        is_powered: Whether the joints have power.
     """
-    if not state.modes.is_powered:
+    if not is_powered:
         return 0.0
-    s = state.arm.sample
     # Do not use `sum`, which rounds differently since Python 3.12. The same run must send the same bytes with every
     # version of Python.
-    torques = map(mul, s.I_actual, state.arm.motors.torque_constants)
+    torques = map(mul, s.I_actual, torque_constants)
     power: float = reduce(add, map(mul, torques, s.qd_actual))
     heat: float = reduce(add, map(mul, s.I_actual, s.I_actual))
     return max(_IDLE + _OF_POWER * power + _OF_HEAT * heat, 0.0)
 
 
 def execution_time(state: ControllerState) -> float:
-    """Return the time that the controller needs to execute one cycle, in ms. A running program increases it.
+    """Return the time that the controller needs to execute one cycle, in ms."""
+    return execution_time_of(state.firmware.is_e_series, state.modes.program_state)
+
+
+def execution_time_of(is_e_series: bool, program_state: ProgramState) -> float:
+    """Return the time that a controller needs to execute one cycle, in ms. A running program increases it.
 
     A real CB2 reported 0.06 ms.
     """
-    if not state.firmware.is_e_series:
+    if not is_e_series:
         return 0.06
     idle, busy = EXECUTION_TIME
-    return busy if state.modes.program_state is ProgramState.PLAYING else idle
+    return busy if program_state is ProgramState.PLAYING else idle
 
 
 def _outputs() -> dict[str, Output]:

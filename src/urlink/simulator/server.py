@@ -15,9 +15,10 @@ interface is silent.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from linkcore import clock
+from linkcore.deferred import Deferred
 from linkcore.net.loop import Connection, Handler, ListeningPort, SelectorLoop
 from urlink.protocol.ports import interface_of
 
@@ -41,6 +42,8 @@ LEAST_RATE = 10
 CHUNK = 1 << 12
 #: Maximum time that other threads wait for the server's thread, in seconds.
 TIMEOUT = 5.0
+#: Maximum number of cycles that are executed before they are due.
+MOST_AHEAD = 64
 #: Seconds within which a client must take the last reply before its connection is closed.
 LAST_REPLY = 2.0
 
@@ -122,10 +125,17 @@ class Server:
         # The clients of each port, and the names of the interfaces that have at least one client.
         self._clients: dict[str, list[_Client]] = {name: [] for name in numbers}
         self._watched: set[str] = set()
+        # Names of the ports of each interface, and their clients.
+        self._clients_of = {
+            kind: [(name, self._clients[name]) for name in (kind, f"{kind}_readonly") if name in self._clients]
+            for kind in interfaces
+        }
         self._control = loop
         self._state = state
         self.counters = state.counters
         self._interfaces = interfaces
+        # Interfaces that send packets on their own; the others only reply to clients.
+        self._emitting = [item for item in interfaces.items() if type(item[1]).packets is not Interface.packets]
         self._loader = loader
         self._link = link
         self._sockets = SelectorLoop(clock)
@@ -133,6 +143,8 @@ class Server:
         self._is_stepped = isinstance(clock, SteppedClock)
         self._is_closing = False
         self._is_changed = False
+        # Whether the current cycle was executed before it is due, and its packets must be sent when it is due.
+        self._is_held = False
         # Whether the last `catch_up` ran out of time.
         self._is_behind = False
         self._rate = state.rate
@@ -219,18 +231,73 @@ class Server:
                 while not self._is_closing:
                     self.catch_up()
                     self._loader.advance()
-                    self._sockets.serve_once(self._due())
+                    self._sockets.serve_once(self._due(), self._advance_alone)
         finally:
             self._is_closing, self.is_open = True, False
             self._loader.close()
             self._sockets.close()
+
+    def _advance_alone(self) -> float | None:
+        """Advance the controller to the current time, if the work needs neither a wait nor the thread of the server.
+
+        Return the time of the next cycle that must run on time; None if the thread must do the work.
+        """
+        now = self._first + int((self._clock() - self._epoch) * self._rate)
+        fault = self._control.next_fault()
+        is_due = fault is not None and fault <= now + 1
+        if self._is_closing or self._loader.is_busy or is_due or self._control.calls_users:
+            return None
+        self._run_ahead()
+        self.catch_up()
+        return self._due()
+
+    def _run_ahead(self) -> None:
+        """Execute cycles before they are due, and send their real-time packets at once.
+
+        This is possible in simulated time while nothing else can happen, the programs use nothing outside of the
+        controller, and the only client of the real-time interface needs no packet at a certain time. The packets that
+        are sent together show the same modes and signals. A cycle that changes one of them, or that sends a message, is
+        executed too, but its packets are sent when the cycle is due.
+        """
+        state, control = self._state, self._control
+        clients = self._clients.get("realtime", ())
+        if (
+            self._is_held
+            or len(clients) != 1
+            or self._clients.get("realtime_readonly")
+            or clients[0].segmenter is not None
+        ):
+            return
+        quiet = clients[0].connection.quiet_time
+        if quiet * self._rate < 2.0 or not control.is_self_contained or self._link.is_any_stalled:
+            return
+        now = self._clock()
+        begin = state.cycle
+        last = min(self._first + int((now + quiet - self._epoch) * self._rate), begin + MOST_AHEAD)
+        others = [self._interfaces[kind].next_cycle(begin) for kind in self._watched if kind != "realtime"]
+        last = min([last, *(each - 1 for each in (*others, control.next_fault()) if each is not None)])
+        realtime = self._interfaces["realtime"]
+        packets: Sequence[Deferred] = []
+        while state.cycle < last and not self._is_held:
+            control.advance()
+            packet = realtime.steady_packet()
+            if packet is None or not state.outbox.is_empty:
+                self._is_held = True
+            elif not packets and control.is_unchanging:
+                packets = realtime.rest_packets(control.rest(last - state.cycle))
+            else:
+                packets = [*packets, packet]
+        if packets:
+            due = [self._epoch + (begin + 1 + at - self._first) / self._rate for at in range(len(packets))]
+            clients[0].connection.write_batch(packets, [max(each - now, 0.0) for each in due])
+            self.counters.sent += len(packets)
 
     def _due(self) -> float | None:
         """Return the time of the next cycle that must run on time; None if `step` advances the cycles."""
         if self._is_stepped:
             return None  # the clock does not advance while the thread waits for the sockets
         cycle = self._state.cycle
-        wake = cycle + 1 if self._is_changed else self._next(cycle)
+        wake = cycle if self._is_held else cycle + 1 if self._is_changed else self._next(cycle)
         self._is_changed = False
         return self._epoch + (wake - self._first) / self._rate
 
@@ -238,18 +305,23 @@ class Server:
         """Advance the controller to the current time, and send the packets of its cycles."""
         rate, state, counters = self._rate, self._state, self.counters
         behind = int((self._clock() - self._epoch) * rate) - (state.cycle - self._first)
+        if self._is_held and behind >= 0:
+            self._is_held = False
+            self._emit(state.cycle)
         if behind > ASLEEP * rate:
             self._epoch += (behind - 1) / rate
             counters.skipped += behind - 1
             behind = 1
-        until = self._clock() + LONGEST_CATCH_UP
+        until = 0.0
+        if behind > 1:
+            until = self._clock() + LONGEST_CATCH_UP
         has_time = True
         while behind > 0 and has_time and not self._is_closing:
             # Whether this cycle had to run on time. If so, its packets are sent late.
             is_due = behind > 1 and self._next(state.cycle) == state.cycle + 1
             self._control.advance()
             behind -= 1
-            has_time = self._clock() < until
+            has_time = behind == 0 or self._clock() < until
             if behind > LATEST * rate and has_time:
                 counters.skipped += 1
                 continue
@@ -279,6 +351,8 @@ class Server:
             wanted = self._interfaces[kind].next_cycle(cycle)
             if wanted is not None and wanted < earliest:
                 earliest = wanted
+                if earliest == cycle + 1:
+                    return earliest
         wanted = self._control.next_event(cycle)
         return earliest if wanted is None else min(earliest, wanted)
 
@@ -289,16 +363,15 @@ class Server:
         self._settle()
         if not self._state.is_up:
             return
-        for kind, interface in self._interfaces.items():
+        for kind, interface in self._emitting:
             if kind in self._watched:
                 for packet in interface.packets(cycle):
                     self._broadcast(kind, packet)
             else:
                 interface.skip()
 
-    def _broadcast(self, kind: str, packet: bytes) -> None:
-        for name in (kind, f"{kind}_readonly"):
-            clients = self._clients.get(name)
+    def _broadcast(self, kind: str, packet: bytes | Deferred) -> None:
+        for name, clients in self._clients_of[kind]:
             if clients and not self._link.is_stalled(name):
                 data = self._link.on_the_wire(name, packet)
                 for client in clients:
@@ -314,15 +387,15 @@ class Server:
         if not self._link.is_stalled(client.name):
             self._put(client, self._link.on_the_wire(client.name, packet))
 
-    def _put(self, client: _Client, data: bytes) -> None:
+    def _put(self, client: _Client, data: bytes | Deferred) -> None:
         self.counters.sent += 1
         if client.segmenter is None:
             self._write(client, data)
         else:
-            for segment in client.segmenter.put(data):
+            for segment in client.segmenter.put(bytes(data)):
                 self._write(client, segment)
 
-    def _write(self, client: _Client, data: bytes) -> None:
+    def _write(self, client: _Client, data: bytes | Deferred) -> None:
         port = client.connection.port
         overflowed = port.overflowed
         client.connection.write(data)

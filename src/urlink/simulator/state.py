@@ -107,6 +107,11 @@ class StateOutbox:
         else:
             self.put(make())
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is no message."""
+        return not self._messages
+
     def take(self) -> list[bytes]:
         """Return and remove all messages."""
         messages, self._messages, self._size = self._messages, [], 0

@@ -18,9 +18,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from linkcore.deferred import Deferred
 from linkcore.errors import ConnectFailed, ConnectionLost, LinkTimeout
 from linkcore.net.transport import TcpTransport
 from linkcore.simulated import Computer, Simulation, simulated_time
+from linkcore.simulated.network import ReceiveBuffer
 from tests import platforms
 
 if sys.platform != "win32":
@@ -481,3 +483,49 @@ def test_event_loop_of_powered_off_computer_ends_with_simulation() -> None:
         time.sleep(1.0)
         robot.power_off()
     assert [type(error).__name__ for error in ended] == ["Ended"]
+
+
+class Late(Deferred):
+    """Data whose bytes are made when they are read, and counted."""
+
+    made = 0
+
+    def __init__(self, data: bytes) -> None:
+        super().__init__(data[:1])
+        self._data = data
+
+    def __len__(self) -> int:
+        return len(self._data)
+
+    def __bytes__(self) -> bytes:
+        self.made += 1
+        return self._data
+
+
+@pytest.mark.property
+@given(
+    st.lists(st.tuples(st.binary(min_size=1, max_size=9), st.booleans())),
+    st.lists(st.tuples(st.integers(1, 12), st.booleans())),
+)
+def test_receive_buffer_returns_the_bytes_in_order(
+    chunks: list[tuple[bytes, bool]], sizes: list[tuple[int, bool]]
+) -> None:
+    buffer, expected = ReceiveBuffer(), b"".join(data for data, _ in chunks)
+    for data, is_late in chunks:
+        buffer.put(Late(data) if is_late else data)
+    for size, is_whole in sizes:
+        assert len(buffer) == len(expected)
+        if not expected:
+            break
+        assert buffer.peek(size) == expected[:size]
+        taken = bytes(buffer.take_deferred(size) if is_whole else buffer.take(size))
+        assert taken == expected[: len(taken)]
+        assert 0 < len(taken) <= size
+        expected = expected[len(taken) :]
+
+
+def test_receive_buffer_makes_no_bytes_of_a_single_packet() -> None:
+    buffer, packet = ReceiveBuffer(), Late(b"abc")
+    buffer.put(packet)
+    assert buffer.take_deferred(65536) is packet
+    assert (packet.made, len(buffer)) == (0, 0)

@@ -10,6 +10,8 @@ import os
 import queue
 import random
 import secrets
+import selectors
+import socket
 import subprocess
 import sys
 import threading
@@ -695,3 +697,48 @@ def test_process_id_differs_per_computer_and_simulation() -> None:
             thread.join()
     assert len(numbers) == 4
     assert os.getpid() not in numbers
+
+
+def test_work_in_place_of_a_thread_must_not_wait() -> None:
+    with simulated_time(0):
+        selector: Any = selectors.DefaultSelector()
+        with pytest.raises(RuntimeError, match="in place of the thread 'main' must not wait"):
+            selector.select_or_call(0.5, lambda: time.sleep(0.1))
+
+
+def test_selector_calls_a_function_without_ending_its_wait() -> None:
+    with simulated_time(0) as sim:
+        here, there = socket.socketpair()
+        sent: Any = here
+        calls: list[tuple[float, str]] = []
+        selector: Any = selectors.DefaultSelector()
+        selector.register(there, selectors.EVENT_READ)
+
+        def call() -> float | None:
+            calls.append((round(sim.now, 3), threading.current_thread().name))
+            return 0.25 if len(calls) < 3 else None
+
+        def wait() -> None:
+            begun = sim.now
+            assert selector.select_or_call(0.5, call) == []
+            assert sim.now - begun == pytest.approx(1.0, abs=1e-4)
+            sim.at(sim.now + 0.1, lambda: sent._end.send(b"x"))
+            assert len(selector.select_or_call(0.5, call)) == 1
+
+        thread = threading.Thread(target=wait)
+        thread.start()
+        thread.join()
+        assert [at for at, _ in calls] == [0.5, 0.75, 1.0]
+        here.close()
+        there.close()
+
+
+def test_error_of_a_call_is_raised_in_the_waiting_thread() -> None:
+    with simulated_time(0):
+        selector: Any = selectors.DefaultSelector()
+
+        def call() -> float | None:
+            raise ValueError("wrong")
+
+        with pytest.raises(ValueError, match="wrong"):
+            selector.select_or_call(0.5, call)

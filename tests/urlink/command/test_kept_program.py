@@ -305,7 +305,7 @@ def test_concurrent_listen_subscribes_once() -> None:
     desk = Programming()
     subscribe, before = desk.primary.subscribe_inline, len(desk.primary.subscribers)
 
-    def meanwhile(kind: type, callback: Callable[[Any], object]) -> Subscriber:
+    def meanwhile(kind: type, callback: Callable[[Any], object], **options: object) -> Subscriber:
         desk.primary.subscribe_inline = subscribe  # type: ignore[method-assign]
         desk.script(BESIDE)
         return subscribe(kind, callback)

@@ -559,7 +559,7 @@ def test_next_motion_subscribes_again_after_connection_gave_up(
 def test_nothing_is_sent_when_subscribing_fails(desk: Programming) -> None:
     subscribe, before = desk.primary.subscribe_inline, len(desk.primary.subscribers)
 
-    def refuse(kind: type, callback: Callable[[Any], object]) -> Subscriber:
+    def refuse(kind: type, callback: Callable[[Any], object], **options: object) -> Subscriber:
         if kind is ConnectionEvent:
             raise ConnectFailed("refused")
         return subscribe(kind, callback)

@@ -128,7 +128,7 @@ def test_connection_that_is_already_down_counts_as_lost(desk: Monitored) -> None
 def test_failed_subscription_leaves_no_subscribers(desk: Monitored, fails_at: int) -> None:
     subscribe, tries = desk.realtime.subscribe_inline, iter(range(1, 100))
 
-    def refuse(kind: type, callback: Callable[[Any], object]) -> Subscriber:
+    def refuse(kind: type, callback: Callable[[Any], object], **options: object) -> Subscriber:
         if next(tries) < fails_at:
             return subscribe(kind, callback)
         desk.event(desk.realtime, ConnectionState.LOST, ConnectFailed("refused"))
@@ -149,7 +149,7 @@ def test_concurrent_listen_subscribes_once(desk: Monitored) -> None:
     """A signal handler can interrupt its own thread while it subscribes."""
     subscribe = desk.primary.subscribe_inline
 
-    def interrupted(kind: type, callback: Callable[[Any], object]) -> Subscriber:
+    def interrupted(kind: type, callback: Callable[[Any], object], **options: object) -> Subscriber:
         desk.primary.subscribe_inline = subscribe  # type: ignore[method-assign]
         desk.monitor.listen()
         return subscribe(kind, callback)

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from linkcore.handle import Lifecycle
-from linkcore.streaming.packet_queue import latest
 from linkcore.streaming.stream import Stream
 from tests.fakes.line import Desk
 from urlink.command.program_time import Pause, ProgramTimer, end_where_moved, is_paused, reported_scaling
@@ -140,22 +139,27 @@ def test_pause_ignores_the_position_until_the_arm_is_at_rest() -> None:
 def test_controller_motion_ends_when_arm_is_moved(moved: float, is_ended: bool) -> None:
     """Stop the program before it resumes."""
     looks: list[Callable[[RealtimeState], None]] = []
+    needs: list[Callable[[], bool]] = []
     closed: list[float] = []
     braked: list[int] = []
     subscription = SimpleNamespace(close=closed.append)
 
-    def subscribe(look: Callable[[RealtimeState], None], policy: object) -> object:
-        assert policy is latest
+    def subscribe(kind: type, look: Callable[[RealtimeState], None], only_changes: Callable[[], bool]) -> object:
+        assert kind is RealtimeState
         looks.append(look)
+        needs.append(only_changes)
         return subscription
 
     life = Lifecycle("a motion", Desk().callbacks)
     life.brake = lambda: braked.append(1)
     life.begin()
-    end_where_moved(life, cast("Stream[RealtimeState]", SimpleNamespace(subscribe=subscribe)))
-    (look,) = looks
+    connection = SimpleNamespace(subscribe_inline=subscribe)
+    end_where_moved(life, cast("Stream[RealtimeState]", SimpleNamespace(_connection=connection)))
+    (look,), (needs_only_changes,) = looks, needs
     look(arm(0.1, 1.0, PLAYING))
+    assert needs_only_changes()
     look(arm(0.5))
+    assert not needs_only_changes()
     look(arm(0.5 + moved))
     assert life.is_over is is_ended
     assert isinstance(life.error, ToleranceExceeded if is_ended else type(None))

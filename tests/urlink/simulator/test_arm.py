@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import inspect
 import itertools
 import math
 from types import SimpleNamespace
@@ -7,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
 from hypothesis import strategies as st
 
 from linkcore.errors import BadValue
@@ -348,12 +350,37 @@ def test_sensors_recompute_cached_values_after_changes() -> None:
         (elsewhere._replace(qd=[0.1] * 6), tool, loaded, pushed),
         (at, flange, bare, [0.0] * 6),
     ):
-        used, new = (
-            each.sample(setpoint, tcp, dynamics, external, external, [0.0] * 6, progress, 1.0, True)
-            for each in (sensors, Sensors(*parts, seed=3, is_cb2=False))
-        )
-        for name in Sample.__slots__:
+        of_cycle = setpoint, tcp, dynamics, external, external, [0.0] * 6, progress, 1.0, True, [0.0] * 6
+        used, new = (Sample(each, *of_cycle) for each in (sensors, Sensors(*parts, seed=3, is_cb2=False)))
+        for name in VALUES:
             assert getattr(used, name) == getattr(new, name), name
+
+
+#: Names of the values of a sample.
+VALUES = [name for name in Sample.__slots__ if name not in inspect.signature(Sample).parameters]
+
+
+@pytest.mark.property
+@given(order=st.permutations(VALUES), count=st.integers(1, len(VALUES)), firmware=st.sampled_from(["5.11", "3.15"]))
+def test_sample_values_are_equal_in_any_order(order: list[str], count: int, firmware: str) -> None:
+    """A sample whose values are read later, in another order or partly, must have the values of its own cycle."""
+    read_at_once, read_later = arms = [Controller(firmware=firmware) for _ in range(2)]
+    kept, expected = [], []
+    for controller in arms:
+        controller.take("movej([0.1, -1.5, 1.5, -1.6, -1.6, 0.2], a=5, v=3)\n")
+        controller.push([1.0, 2.0, 3.0, 0.1, 0.2, 0.3])
+    for cycle in range(60):
+        for controller in arms:
+            controller.step()
+            if cycle == 40:
+                controller.arm.tcp = [0.0, 0.0, 0.1, 0.0, 0.2, 0.0]
+                controller.arm.zero_force()
+        sample = read_at_once.arm.sample
+        expected.append({name: getattr(sample, name) for name in VALUES})
+        kept.append(read_later.arm.sample)
+    for sample, values in zip(reversed(kept), reversed(expected), strict=True):
+        for name in order[:count]:
+            assert getattr(sample, name) == values[name], name
 
 
 def test_robot_current_is_the_same_on_every_python() -> None:

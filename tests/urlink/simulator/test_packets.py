@@ -32,7 +32,7 @@ from urlink.protocol.realtime.packets import RealtimeState
 from urlink.simulator import Controller, Demonstration, messages
 from urlink.simulator.interfaces.interface import Form
 from urlink.simulator.interfaces.primary import _CHANGING, _UNCHANGING
-from urlink.simulator.interfaces.realtime import _fields
+from urlink.simulator.interfaces.realtime import FIELDS
 from urlink.simulator.state import StopCause
 from urlink.simulator.urscript import ProgramError
 
@@ -108,7 +108,8 @@ def test_packet_forms_encode_the_same_bytes_as_layouts(release: Release, name: s
     controller.signals.set_digital_input(16, True)
     controller.step(77)
     layout = RealtimeState.LAYOUTS.of(release.since)
-    assert controller.realtime_packet() == layout.encode(_fields(controller._state))
+    packet = controller._realtime.packet()
+    assert bytes(packet) == controller.realtime_packet() == layout.encode({name: packet.field(name) for name in FIELDS})
     for kind, part in parts(controller.state_package(first=True)).items():
         fields = (_CHANGING | _UNCHANGING)[kind](controller._state)
         cls: type[State] = type(decoded(part, release.since))
@@ -267,7 +268,7 @@ def test_controller_with_wrong_arguments_raises_local_error() -> None:
 def test_every_packet_has_a_value_for_each_field(release: Release, name: str) -> None:
     """The check ensures that no field is zero only because the simulator forgot it."""
     state = Controller(name, release.since)._state
-    RealtimeState.LAYOUTS.of(release.since).check_complete(_fields(state))
+    RealtimeState.LAYOUTS.of(release.since).check_complete(FIELDS.keys())
     for part in parts(Controller(name, release.since).state_package(first=True)).values():
         fields = (_CHANGING | _UNCHANGING)[part[4]](state)
         type(decoded(part, release.since))(release.since)._layout.check_complete(fields)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import urlink
@@ -19,9 +18,8 @@ from packages.accept.tests.acceptance.drawn import (
     sound,
     verdicts_with,
 )
-from urlink.protocol.realtime.packets import RealtimeState
 from urlink.simulator import Controller
-from urlink.simulator.interfaces.realtime import RealtimeInterface
+from urlink.simulator.interfaces.realtime import FIELDS
 from urlink_accept.acceptance.causes import refuted_positions
 from urlink_accept.acceptance.evidence import Evidence, Note
 from urlink_accept.acceptance.person import OfTheSimulator
@@ -131,15 +129,7 @@ def test_moving_stage_listens_first_if_stage_0_is_not_requested(tmp_path: Path) 
     """Positions with the wrong sign are planted in the packets of the controller itself."""
     path = tmp_path / "run.urlog"
     with urlink.simulated_time(seed=3), Controller("UR5", "3.15") as controller, pytest.MonkeyPatch.context() as patch:
-        real = RealtimeInterface.packet
-
-        def negated(self: RealtimeInterface) -> bytes:
-            packet = real(self)
-            place = RealtimeState.LAYOUTS.of("3.15").places["q_actual"]
-            values = np.frombuffer(packet, ">f8", 6, place.offset)
-            return packet[: place.offset] + (-values).astype(">f8").tobytes() + packet[place.offset + place.size :]
-
-        patch.setattr(RealtimeInterface, "packet", negated)
+        patch.setitem(FIELDS, "q_actual", lambda shown: [-each for each in shown.sample.q_actual])
         run(controller.address, path, (2,), lambda number, does: "", person=OfTheSimulator(controller))
     (stage,) = Evidence(path).said("stage")
     assert "the joint positions cannot be trusted" in stage.said["refused"]

@@ -110,7 +110,7 @@ class RealtimeState(State):
         in both encodings. If all inputs are off, the result is None.
         """
         at = self._layout.places["digital_input_bits"].offset
-        raw = int.from_bytes(self._data[at : at + 8], "big")
+        raw = int.from_bytes(bytes(self)[at : at + 8], "big")
         return None if raw == 0 else "double" if raw >> 48 else "integer"
 
 

@@ -15,6 +15,7 @@ from collections.abc import Callable
 
 from linkcore.clock import Stamp
 from linkcore.wire.cycles import MissedCycles
+from linkcore.wire.deferred_packet import DeferredPacket
 from linkcore.wire.framing import Framer
 
 from ..firmware import RELEASES
@@ -170,11 +171,24 @@ class RealtimeProtocol:
             if protocol is not None:
                 protocol._learn(size)
 
-        self.framer = Framer(RealtimeBoundary(learn))
+        self._boundary = RealtimeBoundary(learn)
+        self.framer = Framer(self._boundary)
         self.cycles: MissedCycles | None = None  # known after the size
         self.unknown = 0
         self._any = _AnyLayout()
         self.decode = self._any.decode
+
+    def take_deferred(self, packet: DeferredPacket, stamp: Stamp) -> RealtimeState | None:
+        """Return the state in a packet whose bytes are not made yet; None if its bytes are needed to find its state.
+
+        The bytes are needed until the size of the packets is known, and while the frame boundary is lost.
+        """
+        boundary, layout = self._boundary, packet.layout
+        if len(packet) != boundary.size or layout.decode is not self.decode or not self.framer.is_between_packets:
+            return None
+        boundary.last = packet.head
+        state: RealtimeState = packet.state(stamp)
+        return state
 
     @property
     def tails(self) -> int:

@@ -9,9 +9,14 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from itertools import cycle
+from typing import TypeVar
+
+from linkcore.deferred import Deferred
 
 from ...protocol.ports import PORTS, interface_of
 from ..interfaces.interface import package
+
+P = TypeVar("P", bytes, "bytes | Deferred")
 
 #: Maximum number of calls of `insert` that are queued for the next packet of a port. If there are more, the oldest are
 #: dropped.
@@ -102,6 +107,8 @@ class LinkFaults:
     def __init__(self, cycle: Callable[[], int]) -> None:
         self.segments_changed = 0
         self._cycle = cycle
+        # Whether any packet might be sent in a changed form, since the last call of `heal`.
+        self._has_changes = False
         self._stalled_until: dict[str, int] = {}
         self._cuts: set[str] = set()
         self._segments: dict[str, tuple[tuple[int, ...], int]] = {}
@@ -130,17 +137,21 @@ class LinkFaults:
         """Once, send these bytes before the next packet of each port, or in the middle of this packet."""
         for name in ports:
             (self._inside if inside else self._before)[name].append(data)
+        self._has_changes = True
 
     def append(self, ports: Iterable[str], tail: bytes) -> None:
         """Append a tail to all packets of these ports."""
         self._tails.update(dict.fromkeys(ports, tail))
+        self._has_changes = True
 
     def add_sub_package(self, ports: Iterable[str], kind: int, payload: bytes) -> None:
         """Append a sub-package to all robot states of these ports."""
         self._sub_packages.update(dict.fromkeys(ports, (kind, payload)))
+        self._has_changes = True
 
     def heal(self) -> None:
         """End all faults."""
+        self._has_changes = False
         self._stalled_until.clear()
         self._cuts.clear()
         self._segments.clear()
@@ -171,29 +182,34 @@ class LinkFaults:
         rule = self._segments.get(port)
         return None if rule is None else Segmenter(*rule)
 
-    def lasting(self, port: str, packet: bytes) -> bytes:
+    def lasting(self, port: str, packet: P) -> P | bytes:
         """Return a packet with the lasting faults applied: tails and unknown sub-packages."""
         tail = self._tails.get(port)
         if interface_of(port) == "realtime":
-            return packet if tail is None else with_tail(packet, tail)
-        if interface_of(port) not in ("primary", "secondary") or packet[4] != 16:
+            return packet if tail is None else with_tail(bytes(packet), tail)
+        added = self._sub_packages.get(port)
+        if (tail is None and added is None) or interface_of(port) not in ("primary", "secondary"):
+            return packet
+        state = bytes(packet)
+        if state[4] != 16:
             return packet
         if tail is not None:
-            packet = with_tails(packet, tail)
-        added = self._sub_packages.get(port)
-        return packet if added is None else with_sub_package(packet, *added)
+            state = with_tails(state, tail)
+        return state if added is None else with_sub_package(state, *added)
 
-    def on_the_wire(self, port: str, packet: bytes) -> bytes:
-        """Return the bytes that this port sends instead of a packet.
+    def on_the_wire(self, port: str, packet: bytes | Deferred) -> bytes | Deferred:
+        """Return the bytes that this port sends instead of a packet. Without a fault, this is the same packet.
 
         Faults that happen only once are removed afterwards.
         """
+        if not self._has_changes:
+            return packet
         packet = self.lasting(port, packet)
         inside, before = self._inside[port], self._before[port]
         if inside:
-            packet = with_garbage_inside(packet, b"".join(inside))
+            packet = with_garbage_inside(bytes(packet), b"".join(inside))
             inside.clear()
         if before:
-            packet = b"".join(before) + packet
+            packet = b"".join(before) + bytes(packet)
             before.clear()
         return packet

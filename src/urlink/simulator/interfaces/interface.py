@@ -12,31 +12,38 @@ from __future__ import annotations
 
 import struct
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
+from linkcore.deferred import Deferred
 from linkcore.wire.layout import Layout
 from urlink.protocol.headers import PACKAGE
 
 from ..programs.loader import LineAssembler
 from ..state import Counters
 
+L = TypeVar("L", bound=Layout)
+
 #: Field name -> plain number, or list of plain numbers.
 Fields = Mapping[str, Any]
 
 
-class Form:
+class Form(Generic[L]):
     """Template for packets of one layout with a fixed size, which is filled in and packed many times.
 
     `pack` returns the same bytes as `Layout.encode` in a tenth of the time, because unchanged values are kept and one
     `struct` packs all values. A value is a plain number or a list of plain numbers. Only `struct` checks the values.
     The first packet must contain a value for every field.
+
+    Attributes:
+        layout: Layout of the packets.
     """
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: L) -> None:
         codes: list[str] = [""] * sum(place.count or 1 for place in layout.places.values())
-        self._layout: Layout | None = layout  # None after the first packet, which has a value for every field
+        self.layout = layout
+        self._is_checked = False  # whether a packet was made, which has a value for every field
         self._values: list[Any] = [0] * len(codes)
         self._at: dict[str, int | slice] = {}
         for name, place in layout.places.items():
@@ -60,9 +67,9 @@ class Form:
         Raises:
             BadValue: If this is the first packet, and a field has no value.
         """
-        if self._layout is not None:
-            self._layout.check_complete(fields.keys())
-            self._layout = None
+        if not self._is_checked:
+            self.layout.check_complete(fields.keys())
+            self._is_checked = True
         values, places = self._values, self._at
         for name, value in fields.items():
             at = places.get(name)
@@ -132,13 +139,21 @@ class Interface(ABC):
         """Return the first cycle after this one in which packets are due; None if no packet is planned."""
         return None
 
-    def packets(self, cycle: int) -> list[bytes]:
+    def packets(self, cycle: int) -> Sequence[bytes | Deferred]:
         """Return the packets that have become due since the last call, and that all clients must receive.
 
         The server calls this in each cycle while a client is connected, except in cycles that are far too late. If
         clients need different packets, the interface sends them itself and returns none.
         """
         return []
+
+    def steady_packet(self) -> Deferred | None:
+        """Return the packet of this cycle if it is steady after the previous one; see `DeferredBatch`."""
+        return None
+
+    def rest_packets(self, times: Sequence[float]) -> Sequence[Deferred]:
+        """Return the steady packets of cycles in which only the time changes; see `ControlLoop.rest`."""
+        raise NotImplementedError
 
     def skip(self) -> None:
         """Discard the packets of this cycle, because no client is connected."""

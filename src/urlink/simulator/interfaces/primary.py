@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from linkcore.wire.state_layouts import StateLayout
 from urlink.arm.kinematics import DhTable
 from urlink.protocol.enums import SafetyMode
 from urlink.protocol.firmware import Firmware, release_of
@@ -37,7 +38,7 @@ class StatePackages:
         self._state = state
         self._firmware: Firmware | None = None
         self._first_only: frozenset[int] = frozenset()
-        self._forms: dict[int, Form] = {}
+        self._forms: dict[int, Form[StateLayout]] = {}
         self._unchanging: dict[int, bytes] = {}
         # Latest cycle with a packet, and the packet that both interfaces send in this cycle.
         self._made: tuple[int, bytes] = (-1, b"")

@@ -192,6 +192,11 @@ class ProgramLoader:
         """Whether any queued program waits only for the next cycle, and not for a compilation of the same client."""
         return any(queue.texts and not self._compiles(queue) for queue in self._queues)
 
+    @property
+    def is_busy(self) -> bool:
+        """Whether `advance` might have work to do."""
+        return bool(self._queues) or self._compilation is not None
+
     def open(self) -> ProgramQueue:
         """Return a queue for a new client."""
         return ProgramQueue(self)

@@ -25,7 +25,7 @@ from collections.abc import Callable, Sequence
 from ...protocol.enums import ControlMode
 from .. import messages
 from ..robot.generator import ArmDrive, LimitViolation
-from ..robot.setpoint_sources import Setpoint, SetpointSource, Still
+from ..robot.setpoint_sources import Demonstration, Setpoint, SetpointSource, Still
 from ..state import ControllerState
 from ..urscript import Execution, Script
 from .program_world import ProgramWorld, Route
@@ -83,6 +83,11 @@ class RunningProgram:
             state.stop_protectively(str(violation), code=violation.code)
             return drive.setpoint
 
+    @property
+    def is_unchanging(self) -> bool:
+        """Whether the program has ended, and every later set-point equals the current one."""
+        return not self.is_program and self._drive.is_unchanging and self._drive.setpoint == self._state.arm.setpoint
+
     def end(self) -> None:
         """Stop the program, if it still runs."""
         if self.is_program:
@@ -122,6 +127,31 @@ class ProgramRunner:
     def is_running(self) -> bool:
         """Whether any program runs, is paused or is queued, so that no cycle may be skipped."""
         return bool(self._secondary or self._waiting or self.program)
+
+    @property
+    def is_self_contained(self) -> bool:
+        """Whether no program or source of set-points can read or send anything outside of the controller."""
+        if self._secondary or self._waiting:
+            return False
+        program = self.program
+        return self.follows_own_source and (program is None or not program.execution.script.is_connected)
+
+    @property
+    def follows_own_source(self) -> bool:
+        """Whether the set-points come from a class of the simulator, and not from an object of the user."""
+        return type(self._state.source) in (RunningProgram, Still, Demonstration)
+
+    @property
+    def is_unchanging(self) -> bool:
+        """Whether nothing changes in the next cycles, because no program runs and the arm is at rest."""
+        state = self._state
+        if self._secondary or self._waiting or self._begins_anew or state.is_paused or state.by_hand is not None:
+            return False
+        if not state.modes.may_move or state.slider != state.speed_fraction or not state.watchdogs.is_empty:
+            return False
+        return type(state.source) is Still or (
+            self.main is not None and self.main is state.source and self.main.is_unchanging
+        )
 
     # -- beginning and ending ------------------------------------------------------------------------
 

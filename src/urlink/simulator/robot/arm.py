@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import accumulate, repeat
 from typing import TYPE_CHECKING
 
 from linkcore.errors import BadValue
@@ -89,6 +90,8 @@ class SimulatedArm:
         self._setpoint = setpoint
         parameters = SensorParameters.of(self.model) if like is None else SensorParameters.of(self.model).like(like)
         self._sensors = Sensors(kinematics, self.motors, parameters, setpoint.q, seed, is_cb2)
+        #: Deviation of the joints from their targets that `drags` causes, shape (6,), in rad.
+        self.deviation: Sequence[float] = _ZERO
         self._surroundings = surroundings
         self.force_sensor = ForceSensor(kinematics, surroundings)
         self.drags: dict[int, float] = {}
@@ -153,23 +156,42 @@ class SimulatedArm:
         self._sample = None
         self.force_sensor.advance(self._setpoint, self._tcp, self.payload, self.payload_cog, seconds)
 
+    @property
+    def is_unchanging(self) -> bool:
+        """Whether nothing but the time changes while the set-points stay the same."""
+        return (
+            not (self._moving or self.is_moving or self.drags or any(self._setpoint.qdd) or any(self.deviation))
+            and self._transition is None
+            and not self.uses_external_force
+            and self.force_sensor.is_unchanging
+        )
+
+    def rest(self, cycles: int, seconds: float) -> list[float]:
+        """Advance by some cycles in which the arm is at rest, and nothing changes; see `is_unchanging`.
+
+        Return the time since the arm was switched on, in s, at the beginning and after each cycle.
+        """
+        times = list(accumulate(repeat(seconds, cycles), initial=self._time))
+        self._time = times[-1]
+        self._progress.cycle += cycles
+        self._sample = None
+        return times
+
     def _count_rests(self, moving: tuple[bool, ...]) -> None:
         """Begin a rest of the joints that no longer move; `moving` is empty if no joint moves."""
+        # A new list, because samples of earlier cycles refer to the previous one.
+        rests = self._progress.joint_rests.copy()
         for joint, was_moving in enumerate(self._moving):
             if was_moving and not (moving and moving[joint]):
-                self._progress.joint_rests[joint] += 1
+                rests[joint] += 1
+        self._progress.joint_rests = rests
         self._progress.joint_changes += 1
         self._moving = moving
-
-    @property
-    def deviation(self) -> Sequence[float]:
-        """Deviation of the joints from their targets that `drags` causes, shape (6,), in rad."""
-        return self._sensors.deviation
 
     def _deviate(self, seconds: float) -> None:
         """Advance `deviation` by one cycle: a dragged joint falls behind, and any other joint returns to its target."""
         left = math.exp(-seconds / _RETURN)
-        self._sensors.deviation = [
+        self.deviation = [
             d - self.drags[i] * v * seconds if i in self.drags else (left * d if abs(d) > _RETURNED else 0.0)
             for i, (d, v) in enumerate(zip(self.deviation, self._setpoint.qd, strict=True))
         ]
@@ -328,18 +350,20 @@ class SimulatedArm:
 
     @property
     def sample(self) -> Sample:
-        """Values of all sensors in this cycle. They are computed at the first access."""
+        """Values of all sensors in this cycle. Each value is computed when it is first read."""
         if self._sample is None:
-            self._sample = self._sensors.sample(
+            self._sample = Sample(
+                self._sensors,
                 self._setpoint,
                 self._tcp,
                 self.dynamics,
                 self.force_sensor.external,
                 self.force_sensor.wrench,
                 self._zeroed_error,
-                self._progress,
+                self._progress.copy(),
                 self._time,
                 self.is_powered,
+                self.deviation,
             )
             if self.uses_external_force:
                 self._sample.force = list(self.external_force)
@@ -353,7 +377,7 @@ class SimulatedArm:
         """
         if self._sample is not None:
             return self._sample.q_actual
-        return self._sensors.positions(self._setpoint, self._progress, self.is_powered)
+        return self._sensors.positions(self._setpoint, self._progress, self.is_powered, self.deviation)
 
     @property
     def qd_actual(self) -> list[float]:

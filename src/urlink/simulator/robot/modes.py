@@ -84,6 +84,17 @@ _JOINT_EMERGENCY_STOPPED_CB2 = JointMode.READY_FOR_POWER_OFF
 _SCALES_TO_ZERO = Since("3.10/5.0")
 
 
+class ShownModes(NamedTuple):
+    """All modes that the real-time interface shows; see the properties of `Modes` with the same names."""
+
+    robot_mode: RobotMode | RobotModeCB2
+    joint_mode: JointMode
+    safety_mode: SafetyMode
+    program_state: ProgramState
+    speed_scaling: float
+    is_powered: bool
+
+
 class Modes:
     """Robot mode, safety mode and program state, as one state machine.
 
@@ -108,6 +119,8 @@ class Modes:
         self._powers_on = False
         self._releases_brakes = False
         self._wait = 0.0
+        # Latest value of `shown`, and the states that it depends on.
+        self._shown: tuple[tuple[object, ...], ShownModes] | None = None
 
     # -- events ----------------------------------------------------------------------------------
 
@@ -195,6 +208,11 @@ class Modes:
         elif self.power is Power.IDLE and self._releases_brakes:
             self.power = Power.RUNNING
 
+    @property
+    def is_unchanging(self) -> bool:
+        """Whether no change of the power state is in progress."""
+        return not (self._is_switching_off or self._powers_on) and self._wait <= 0.0
+
     # -- modes -------------------------------------------------------------------------------------
 
     @property
@@ -215,6 +233,29 @@ class Modes:
     def is_powered(self) -> bool:
         """Whether the joints have power."""
         return self.power is not Power.OFF
+
+    @property
+    def shown(self) -> ShownModes:
+        """All modes that the real-time interface shows. The same object is returned until one of them changes."""
+        depends_on = (
+            self.power,
+            self.stop,
+            self._is_switching_off,
+            self._has_program,
+            self._is_paused,
+            self._is_standing,
+        )
+        if self._shown is None or self._shown[0] != depends_on:
+            modes = ShownModes(
+                self.robot_mode,
+                self.joint_mode,
+                self.safety_mode,
+                self.program_state,
+                self.speed_scaling,
+                self.is_powered,
+            )
+            self._shown = depends_on, modes
+        return self._shown[1]
 
     @property
     def robot_mode(self) -> RobotMode | RobotModeCB2:

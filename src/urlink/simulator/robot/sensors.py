@@ -24,9 +24,10 @@ packets is the same point as the elbow in the safety data of a CB3 capture.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from operator import add, mul, sub
+from typing import Any
 
 from urlink.arm.dynamics import GRAVITY, Dynamics
 from urlink.arm.kinematics import Arm as Kinematics
@@ -73,12 +74,29 @@ _PUSH = 0.5 / number("position_deviation_limit")
 
 @dataclass(slots=True, init=False, eq=False, repr=False)
 class Sample:
-    """Values of all sensors in one cycle.
+    """Values of all sensors in one cycle. Each value is computed when it is first read.
+
+    A sample keeps everything that its values depend on. So a value is the same, to the last bit, whether it is read in
+    its cycle or many cycles later, and whether other values are read or not.
+
+    Args:
+        sensors: Sensors that compute the values.
+        setpoint: Targets of the cycle.
+        tcp: Tool centre point in the flange frame, shape (6,), in m and rad.
+        dynamics: Dynamics of the arm with rotors and payload.
+        external: Wrench on the TCP, shape (6,), in N and Nm in the base frame.
+        wrench: Wrench that an ideal force sensor would show, shape (6,).
+        zeroed: Error of the force sensor when it was zeroed, in the frame of the flange, shape (6,).
+        progress: Cycle and history of the arm, which select the noise. It must not change any more.
+        time: Time since the arm was switched on, in s, for the temperatures.
+        is_powered: Whether the motors have power.
+        deviation: Deviation of the joints from their targets, shape (6,), in rad.
 
     Attributes:
         q_target, qd_target, qdd_target, M_target, I_target: Six numbers each, in rad, rad/s, rad/s², Nm, A.
         q_actual, qd_actual, I_actual, I_control, V_actual, T_motor: Six numbers each, in rad, rad/s, A, A, V, °C.
         pose_actual, pose_target: Pose of the TCP in the base frame, in m and rotation vector in rad.
+        tool_frame: Frame of the TCP in the base frame, from the actual positions.
         speed_actual, speed_target: Speed of the TCP, in m/s and rad/s.
         force: Wrench at the TCP, in N and Nm.
         elbow_position, elbow_velocity: Position and velocity of the end of the upper arm, in m and m/s.
@@ -106,6 +124,81 @@ class Sample:
     qdd_target: list[float]
     speed_actual: list[float]
     speed_target: list[float]
+    tool_frame: Rigid[float]
+    sensors: Sensors
+    setpoint: Setpoint
+    tcp: Sequence[float]
+    dynamics: Dynamics
+    external: Sequence[float]
+    wrench: Sequence[float]
+    zeroed: Sequence[float]
+    progress: Progress
+    time: float
+    is_powered: bool
+    deviation: Sequence[float]
+
+    def __init__(
+        self,
+        sensors: Sensors,
+        setpoint: Setpoint,
+        tcp: Sequence[float],
+        dynamics: Dynamics,
+        external: Sequence[float],
+        wrench: Sequence[float],
+        zeroed: Sequence[float],
+        progress: Progress,
+        time: float,
+        is_powered: bool,
+        deviation: Sequence[float],
+    ) -> None:
+        self.sensors = sensors
+        self.setpoint = setpoint
+        self.q_target, self.qd_target, self.qdd_target = setpoint
+        self.tcp = tcp
+        self.dynamics = dynamics
+        self.external = external
+        self.wrench = wrench
+        self.zeroed = zeroed
+        self.progress = progress
+        self.time = time
+        self.is_powered = is_powered
+        self.deviation = deviation
+
+    def __getattr__(self, name: str) -> Any:
+        # Python calls this method only for a slot that is empty, so each value is computed once.
+        measure = _MEASURES.get(name)
+        if measure is None:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        measure(self.sensors, self)
+        return object.__getattribute__(self, name)
+
+    def later(self, cycles: int, time: float) -> Sample:
+        """Return the sample after some more cycles in which the arm is at rest, and nothing else changes.
+
+        Args:
+            cycles: Number of cycles.
+            time: Time since the arm was switched on, in s.
+        """
+        progress = self.progress.copy()
+        progress.cycle += cycles
+        return Sample(
+            self.sensors,
+            self.setpoint,
+            self.tcp,
+            self.dynamics,
+            self.external,
+            self.wrench,
+            self.zeroed,
+            progress,
+            time,
+            self.is_powered,
+            self.deviation,
+        )
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether the targets move."""
+        return any(self.qd_target) or any(self.qdd_target)
 
 
 @dataclass(slots=True, eq=False)
@@ -138,6 +231,12 @@ class Progress:
     def cycles(self, seconds: float) -> int:
         """Return a time as a number of cycles, at least 1."""
         return max(round(seconds / self.period), 1)
+
+    def copy(self) -> Progress:
+        """Return a copy that does not change with this object. `joint_rests` is replaced, and never changed."""
+        return Progress(
+            self.period, self.cycle, self.moved, self.rest, self.joint_rests, self.joint_changes, self.stopped
+        )
 
 
 class Sensors:
@@ -198,17 +297,17 @@ class Sensors:
             rise + _RISE * math.sqrt(abs(m / k))
             for rise, m, k in zip(TEMPERATURE_RISE, load, motors.torque_constants, strict=True)
         ]
-        #: Deviation of the joints from their targets, in rad, in addition to lag and noise; see `SimulatedArm.drags`.
-        self.deviation: Sequence[float] = _ZERO
         torque = model.max_torque.tolist()
         self._push = [_PUSH * m / k for m, k in zip(torque, motors.torque_constants, strict=True)]
         self._warmed_to = -1
         self._warm: list[float] = []
 
-    def positions(self, setpoint: Setpoint, progress: Progress, is_powered: bool) -> list[float]:
+    def positions(
+        self, setpoint: Setpoint, progress: Progress, is_powered: bool, deviation: Sequence[float]
+    ) -> list[float]:
         """Return the actual joint positions, in rad. `progress` selects their errors."""
         measured = self._positions(setpoint, progress, is_powered)
-        return list(map(add, measured, self.deviation)) if any(self.deviation) else measured
+        return list(map(add, measured, deviation)) if any(deviation) else measured
 
     def _positions(self, setpoint: Setpoint, progress: Progress, is_powered: bool) -> list[float]:
         q, qd, _ = setpoint
@@ -281,56 +380,44 @@ class Sensors:
         self._error = key, error
         return error
 
-    def sample(
-        self,
-        setpoint: Setpoint,
-        tcp: Sequence[float],
-        dynamics: Dynamics,
-        external: Sequence[float],
-        wrench: Sequence[float],
-        zeroed: Sequence[float],
-        progress: Progress,
-        time: float,
-        is_powered: bool,
-    ) -> Sample:
-        """Return the values of all sensors in one cycle.
+    def measure_positions(self, s: Sample) -> None:
+        """Set the actual joint positions of a sample."""
+        s.q_actual = self.positions(s.setpoint, s.progress, s.is_powered, s.deviation)
 
-        Args:
-            setpoint: Targets of the cycle.
-            tcp: Tool centre point in the flange frame, shape (6,), in m and rad.
-            dynamics: Dynamics of the arm with rotors and payload.
-            external: Wrench on the TCP, shape (6,), in N and Nm in the base frame.
-            wrench: Wrench that an ideal force sensor would show, shape (6,).
-            zeroed: Error of the force sensor when it was zeroed, in the frame of the flange, shape (6,).
-            progress: Cycle and history of the arm, which select the noise.
-            time: Time since the arm was switched on, in s, for the temperatures.
-            is_powered: Whether the motors have power.
-        """
-        q, qd, qdd = setpoint
-        is_moving = any(qd) or any(qdd)
-        self._look_at(q, tcp, dynamics)
-        s = Sample()
-        s.q_target, s.qd_target, s.qdd_target = q, qd, qdd
-        s.q_actual = self.positions(setpoint, progress, is_powered)
-        s.qd_actual = self.speeds(setpoint, progress)
+    def measure_speeds(self, s: Sample) -> None:
+        """Set the actual joint speeds of a sample."""
+        s.qd_actual = self.speeds(s.setpoint, s.progress)
+
+    def measure_pose(self, s: Sample) -> None:
+        """Set the actual pose of the TCP, and its frame."""
+        self._look_at(s)
+        s.tool_frame = product(self._flange(s.q_actual), self._tool)
+        s.pose_actual = list(to_pose(s.tool_frame))
+
+    def compute_target_pose(self, s: Sample) -> None:
+        """Set the pose of the TCP for the targets."""
+        self._look_at(s)
         s.pose_target = self._pose
-        frame = product(self._flange(s.q_actual), self._tool)
-        s.pose_actual = list(to_pose(frame))
-        s.speed_target = s.speed_actual = _ZERO
-        if any(qd):
-            s.speed_target = self._velocity(q, qd, s.pose_target)
-        if any(s.qd_actual):
-            s.speed_actual = self._velocity(s.q_actual, s.qd_actual, s.pose_actual)
+
+    def compute_target_speed(self, s: Sample) -> None:
+        """Set the speed of the TCP for the targets."""
+        s.speed_target = self._velocity(s.q_target, s.qd_target, s.pose_target) if any(s.qd_target) else _ZERO
+
+    def measure_speed(self, s: Sample) -> None:
+        """Set the actual speed of the TCP."""
+        s.speed_actual = self._velocity(s.q_actual, s.qd_actual, s.pose_actual) if any(s.qd_actual) else _ZERO
+
+    def measure_momentum(self, s: Sample) -> None:
+        """Set the momentum of the arm."""
         s.momentum = 0.5 * self._mass * math.hypot(*s.speed_actual[:3])
+
+    def measure_elbow(self, s: Sample) -> None:
+        """Set position and velocity of the elbow."""
         s.elbow_position, s.elbow_velocity = _elbow(*self._elbow, s.q_actual, s.qd_actual)
-        s.accelerometer = self._accelerations(s, frame, progress.cycle, is_moving)
-        if is_powered:
-            self._measure_load(s, setpoint, self._moments(q, tcp, external), progress, is_moving)
-            s.force = self._force(wrench, zeroed, progress, is_moving)
-        else:
-            s.M_target = s.I_target = s.I_control = s.I_actual = s.V_actual = s.force = _ZERO
-        s.T_motor = self._temperatures(int(time))
-        return s
+
+    def measure_temperatures(self, s: Sample) -> None:
+        """Set the temperatures of the motors."""
+        s.T_motor = self._temperatures(int(s.time))
 
     def measured(
         self, q: Sequence[float], wrench: Sequence[float], zeroed: Sequence[float], progress: Progress
@@ -348,23 +435,28 @@ class Sensors:
         turn = self._turn if q is self._posture else self._flange(q)
         return list(map(add, wrench, _turned(turn, list(map(sub, self.force_error(progress), zeroed)))))
 
-    def _force(
-        self, wrench: Sequence[float], zeroed: Sequence[float], progress: Progress, is_moving: bool
-    ) -> list[float]:
-        """Return the measured wrench with its noise, which is larger while the arm moves and just after it."""
+    def measure_force(self, s: Sample) -> None:
+        """Set the measured wrench with its noise, which is larger while the arm moves and just after it."""
+        if not s.is_powered:
+            s.force = _ZERO
+            return
         if self._is_ideal:
-            return list(wrench)
+            s.force = list(s.wrench)
+            return
+        self._look_at(s)
+        progress = s.progress
         noise, scales = self._noise.white(progress.cycle, _FORCE), self._force_noise
-        after = 0.0 if is_moving else progress.still / FORCE_SETTLING_TIME
+        after = 0.0 if s.is_moving else progress.still / FORCE_SETTLING_TIME
         if after < _SETTLED:
             share = math.exp(-after)
             scales = [a + share * b for a, b in zip(scales, self._of.motion_noise, strict=True)]
         error = self.force_error(progress)
-        own = [e - z + n * s for e, z, n, s in zip(error, zeroed, noise, scales, strict=True)]
-        return list(map(add, wrench, _turned(self._turn, own)))
+        own = [e - z + n * k for e, z, n, k in zip(error, s.zeroed, noise, scales, strict=True)]
+        s.force = list(map(add, s.wrench, _turned(self._turn, own)))
 
-    def _look_at(self, q: Sequence[float], tcp: Sequence[float], dynamics: Dynamics) -> None:
-        """Compute the values that depend on targets, tool and payload, if any of these has changed."""
+    def _look_at(self, s: Sample) -> None:
+        """Compute the values that depend on targets, tool and payload, if the last sample had others."""
+        q, tcp, dynamics = s.q_target, s.tcp, s.dynamics
         if tcp == self._tcp and q == self._posture and dynamics is self._dynamics:
             return
         self._dynamics = dynamics
@@ -400,10 +492,15 @@ class Sensors:
         moments: list[float] = (self._kinematics.jacobian(q, tcp).T @ external).tolist()
         return moments
 
-    def _measure_load(
-        self, s: Sample, setpoint: Setpoint, moments: Sequence[float], progress: Progress, is_moving: bool
-    ) -> None:
-        """Compute moments, currents and voltages; `moments` are the external torques on the joints."""
+    def measure_load(self, s: Sample) -> None:
+        """Set moments, currents and voltages."""
+        if not s.is_powered:
+            s.M_target = s.I_target = s.I_control = s.I_actual = s.V_actual = _ZERO
+            return
+        self._look_at(s)
+        setpoint, progress, is_moving = s.setpoint, s.progress, s.is_moving
+        # External torques on the joints.
+        moments = self._moments(setpoint.q, s.tcp, s.external)
         if self._load != (setpoint, moments):
             self._load = setpoint, moments
             needed: list[float] = (
@@ -417,9 +514,9 @@ class Sensors:
             s.I_actual = s.I_control
         else:
             self._add_current_errors(s, setpoint.qd, progress, is_moving)
-        if any(self.deviation):
+        if any(s.deviation):
             # The controller pushes a joint towards its target.
-            pushed = [-push * d for push, d in zip(self._push, self.deviation, strict=True)]
+            pushed = [-push * d for push, d in zip(self._push, s.deviation, strict=True)]
             s.I_control, s.I_actual = list(map(add, s.I_control, pushed)), list(map(add, s.I_actual, pushed))
         noise = self._voltage_noise.white(progress.cycle, _VOLTAGE)
         idle, drop, step = JOINT_VOLTAGE
@@ -451,15 +548,17 @@ class Sensors:
             self._warm = [round(16.0 * (AMBIENT + rise * warm)) / 16.0 for rise in self._rise]
         return self._warm
 
-    def _accelerations(self, s: Sample, tool: Rigid[float], cycle: int, is_moving: bool) -> list[float]:
-        """Return the value that the accelerometer in the tool measures, in m/s² in the tool frame."""
-        noise = self._accelerometer_noise.white(cycle, _ACCELEROMETER)
+    def measure_accelerations(self, s: Sample) -> None:
+        """Set the value that the accelerometer in the tool measures, in m/s² in the tool frame."""
+        self._look_at(s)
+        noise, tool = self._accelerometer_noise.white(s.progress.cycle, _ACCELEROMETER), s.tool_frame
         # The axes x, y and z of the tool.
         across = tool[0:9:3], tool[1:9:3], tool[2:9:3]
         if self._is_cb2:
-            return [n - GRAVITY * u[2] for u, n in zip(across, noise, strict=False)]
+            s.accelerometer = [n - GRAVITY * u[2] for u, n in zip(across, noise, strict=False)]
+            return
         x, y, z = 0.0, 0.0, GRAVITY
-        if is_moving:
+        if s.is_moving:
             # The sensor is in the flange. Compute the acceleration from two velocities of the flange, a microsecond
             # apart.
             q, qd, qdd = s.q_target, s.qd_target, s.qdd_target
@@ -473,7 +572,24 @@ class Sensors:
             y = (after[1] - (vy + wz * dx - wx * dz)) / _MOMENT
             z += (after[2] - (vz + wx * dy - wy * dx)) / _MOMENT
         bias = self._of.accelerometer_bias
-        return [u[0] * x + u[1] * y + u[2] * z + b + n for u, b, n in zip(across, bias, noise, strict=False)]
+        s.accelerometer = [u[0] * x + u[1] * y + u[2] * z + b + n for u, b, n in zip(across, bias, noise, strict=False)]
+
+
+#: Value of a sample -> function that computes this value, and perhaps others, and sets them.
+_MEASURES: dict[str, Callable[[Sensors, Sample], None]] = {
+    "q_actual": Sensors.measure_positions,
+    "qd_actual": Sensors.measure_speeds,
+    "pose_target": Sensors.compute_target_pose,
+    "speed_target": Sensors.compute_target_speed,
+    "momentum": Sensors.measure_momentum,
+    "accelerometer": Sensors.measure_accelerations,
+    "force": Sensors.measure_force,
+    "T_motor": Sensors.measure_temperatures,
+    "speed_actual": Sensors.measure_speed,
+    **dict.fromkeys(("tool_frame", "pose_actual"), Sensors.measure_pose),
+    **dict.fromkeys(("elbow_position", "elbow_velocity"), Sensors.measure_elbow),
+    **dict.fromkeys(("M_target", "I_target", "I_control", "I_actual", "V_actual"), Sensors.measure_load),
+}
 
 
 def _stepped(value: float, step: float) -> float:

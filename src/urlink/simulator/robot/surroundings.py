@@ -343,6 +343,11 @@ class ForceSensor:
         self._max_torque = kinematics.model.max_torque
         self._torque_limits = (_TORQUE_SHARE * self._max_torque).tolist()
 
+    @property
+    def is_unchanging(self) -> bool:
+        """Whether the sensor shows nothing, and will show nothing while nothing acts on the arm."""
+        return self._offset is None and self.external is _NONE and self._surroundings.is_empty
+
     def advance(
         self, setpoint: Setpoint, tcp: Sequence[float], payload: float, cog: Sequence[float], seconds: float
     ) -> None:

@@ -105,6 +105,10 @@ def _collection_paused() -> Iterator[None]:
         gc.enable()
 
 
+#: Beginnings of the names of functions that open connections or execute statements of clients.
+_CONNECTED = ("socket_", "rpc_", "interpreter_mode")
+
+
 class _Program:
     """Compilation of one program: the state that the compilers of all its functions share."""
 
@@ -125,7 +129,8 @@ class _Program:
         self._leaves: dict[int, tuple[Definition, Function | None, int]] = {}
         main = Code(source)
         _Compiler(self, main, body, [], None).compile()
-        self.script = Script(name, self.kind, main, len(self.globals))
+        is_connected = any(name.startswith(_CONNECTED) for name in self._builtins)
+        self.script = Script(name, self.kind, main, len(self.globals), is_connected)
 
     def builtin(self, name: str) -> Builtin | None:
         """Return the built-in function with this name; None if the firmware lacks it."""

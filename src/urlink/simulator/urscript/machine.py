@@ -93,12 +93,14 @@ class Script:
         kind: Kind of the program. A `sec` program runs in addition to the program that moves the arm.
         main: Code that runs first.
         n_globals: Number of global variables.
+        is_connected: Whether the program calls a function that opens connections or executes statements of clients.
     """
 
     name: str
     kind: Literal["def", "sec"]
     main: Code
     n_globals: int
+    is_connected: bool = False
 
 
 #: Call of a function that takes time. It yields once for every cycle that it waits, and then returns the value of the

@@ -57,6 +57,11 @@ class ArmDrive:
         return self._compliant is not None
 
     @property
+    def is_unchanging(self) -> bool:
+        """Whether every later set-point equals the current one until another command begins."""
+        return not self.yields and self.setpoint == self.generator.setpoint and self.generator.is_unchanging
+
+    @property
     def control_mode(self) -> ControlMode:
         """Quantity that is controlled in this cycle, such as position or force."""
         return ControlMode.TORQUE if not self.yields and self.generator.follows_torque else self._mode

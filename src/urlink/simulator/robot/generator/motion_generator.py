@@ -101,6 +101,16 @@ class MotionGenerator:
         return (self._command is None or self._command.is_at_rest) and not any(self.setpoint.qd)
 
     @property
+    def is_unchanging(self) -> bool:
+        """Whether every later set-point equals the current one until another command begins."""
+        return (
+            self._refusal is None
+            and self.scaling == self.speed_fraction
+            and self.is_standing
+            and not any(self.setpoint.qdd)
+        )
+
+    @property
     def follows_torque(self) -> bool:
         """Whether the joints are moved by direct torque in this cycle."""
         return isinstance(self._command, TorqueMotion) and not self._command.is_at_rest

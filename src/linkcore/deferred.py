@@ -1,0 +1,74 @@
+"""Data whose bytes are made when they are read. Only a simulated peer sends such data, over a simulated network.
+
+A simulated controller sends 500 packets per second, and most programs read a few fields of them. So the controller
+sends an object that remembers its state. The object takes the same route as bytes:
+
+    interface -> server -> simulated connection -> transport -> receiver -> state -> callback
+
+Each step that needs the bytes calls `bytes(packet)`. A state that is read from such a packet asks it only for the
+fields that the callback reads (`linkcore.wire.deferred_packet`). A real socket accepts only bytes, so with real sockets
+the bytes are made at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Generic, TypeVar
+
+
+class Deferred:
+    """Data whose bytes are made when they are read.
+
+    It is not a buffer. So code that expects bytes raises an error instead of reading wrong ones.
+
+    Args:
+        head: First bytes of the data.
+        is_steady: Whether the packet differs from the previous one only in its time, and in measured or computed
+            values. Modes and signals are equal.
+
+    Attributes:
+        head, is_steady: See the arguments.
+    """
+
+    __slots__ = ("head", "is_steady")
+
+    def __init__(self, head: bytes, is_steady: bool = False) -> None:
+        self.head = head
+        self.is_steady = is_steady
+
+    # This is not an abstract base class, because `isinstance` takes several times as long for one.
+    def __len__(self) -> int:
+        """Return the number of bytes."""
+        raise NotImplementedError
+
+    def __bytes__(self) -> bytes:
+        """Return the bytes."""
+        raise NotImplementedError
+
+
+D = TypeVar("D", bound=Deferred)
+
+
+class DeferredBatch(Deferred, Generic[D]):
+    """Packets that a simulated peer has sent one after another, and that the client reads at once.
+
+    The packets are steady. They have one layout, and their times are equidistant.
+
+    Args:
+        packets: Packets in the order of sending, at least one. The sequence might make a packet when it is accessed.
+        ages: Time from the arrival of each packet to the arrival of the last one, in s.
+    """
+
+    __slots__ = ("_size", "ages", "packets")
+
+    def __init__(self, packets: Sequence[D], ages: Sequence[float]) -> None:
+        super().__init__(packets[0].head + packets[-1].head, is_steady=True)
+        self.packets = packets
+        self.ages = ages
+        self._size = len(packets) * len(packets[0])
+
+    def __len__(self) -> int:
+        return self._size
+
+    def __bytes__(self) -> bytes:
+        return b"".join(map(bytes, self.packets))

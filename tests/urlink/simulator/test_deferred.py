@@ -1,0 +1,184 @@
+"""Packets whose bytes are made when they are read: they must have the values of the bytes, whatever is read."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import urlink
+from linkcore.clock import Stamp
+from linkcore.simulated import Simulation
+from urlink.protocol.enums import SafetyMode
+from urlink.protocol.realtime.packets import RealtimeState
+from urlink.simulator import Controller, server
+
+NAMES = list(RealtimeState.FIELDS)
+FIRMWARE = ["1.8", "3.1", "3.15", "5.3", "5.11", "10.7"]
+HOME, AWAY = [0.0, -1.6, 1.6, -1.6, -1.6, 0.0], [0.3, -1.5, 1.5, -1.6, -1.6, 0.2]
+
+
+def equal(one: Any, other: Any) -> bool:
+    return type(one) is type(other) and np.array_equal(one, other)
+
+
+@pytest.mark.property
+@given(names=st.lists(st.sampled_from(NAMES)), firmware=st.sampled_from(FIRMWARE), cycles=st.integers(1, 200))
+def test_deferred_state_equals_the_state_of_its_bytes(names: list[str], firmware: str, cycles: int) -> None:
+    controller = Controller(firmware=firmware)
+    controller.take("movej([0.1, -1.5, 1.5, -1.6, -1.6, 0.2], a=5, v=3)\n")
+    controller.step(cycles)
+    packet = controller._realtime.packet()
+    controller.step()  # later cycles must not change the values
+    stamp = Stamp(1.0, 2.0)
+    state = packet.state(stamp)
+    read = {name: getattr(state, name) for name in names}
+    decoded = RealtimeState.LAYOUTS.decode(bytes(packet), controller.firmware)
+    for name in names:
+        assert equal(read[name], getattr(decoded, name)), name
+    assert all(equal(getattr(state, name), getattr(decoded, name)) for name in NAMES)
+    assert (state, hash(state), bytes(state), state.tail) == (decoded, hash(decoded), bytes(decoded), b"")
+    assert state.received == stamp
+    assert len(packet) == len(bytes(packet))
+
+
+def test_deferred_array_is_read_only() -> None:
+    state = Controller()._realtime.packet().state(None)
+    with pytest.raises(ValueError, match="read-only"):
+        state.q_actual[0] = 1.0
+
+
+def test_deferred_packet_is_not_a_buffer() -> None:
+    """Code that expects bytes must fail, instead of reading wrong ones."""
+    packet: Any = Controller()._realtime.packet()
+    with pytest.raises(TypeError, match="bytes-like"):
+        memoryview(packet)
+
+
+def program(robot: urlink.Robot, sim: Simulation) -> None:
+    for q in (AWAY, HOME):
+        robot.motion.move_joints(q, speed=2.0, acceleration=5.0).wait()
+        robot.io.set_digital_out(0, q is AWAY)
+        time.sleep(0.3)
+
+
+def states_of(run: Callable[[urlink.Robot, Simulation], object], seed: int, firmware: str) -> list[bytes]:
+    """Run a program; return the bytes of the states that the diagnosis has kept."""
+    with urlink.simulated_time(seed) as sim, urlink.connect(f"sim://?firmware={firmware}") as robot:
+        robot.realtime.wait(1.0)
+        run(robot, sim)
+        flight = robot.realtime._connection.flight
+        assert flight is not None
+        data, times = flight.since(0.0)
+        assert times == sorted(times)
+        assert data[0] == b""  # the beginning of the connection
+        stats = robot.realtime.stats
+        assert (stats.missed, stats.failed, stats.duplicates) == (0, 0, 0)
+        assert stats.received == stats.decoded
+        return data[1:]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("firmware", ["3.15", "5.11"])
+def test_running_ahead_sends_the_same_states(firmware: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same cycles must give the same bytes, whether the controller executes them early or when they are due."""
+    ahead = states_of(program, 1, firmware)
+    monkeypatch.setattr(server, "MOST_AHEAD", 0)
+    on_time = states_of(program, 1, firmware)
+    # A command might arrive a cycle earlier or later, because more random numbers are drawn. So compare the cycles
+    # before the first command.
+    times = [RealtimeState.LAYOUTS.decode(data, firmware_of(firmware)).time for data in ahead]
+    assert np.allclose(np.diff(times), times[1] - times[0])
+    before = round(0.5 / (times[1] - times[0]))
+    assert hashes(ahead[:before]) == hashes(on_time[:before])
+
+
+def firmware_of(text: str) -> Any:
+    from urlink.protocol.firmware import Firmware
+
+    return Firmware.parse(text)
+
+
+def hashes(states: list[bytes]) -> str:
+    return hashlib.sha256(b"".join(states)).hexdigest()
+
+
+@pytest.mark.simulated_time
+def test_newest_state_is_current_while_the_controller_runs_ahead() -> None:
+    with urlink.connect("sim://?firmware=5.11") as robot:
+        robot.realtime.wait(1.0)
+        handle = robot.motion.move_joints(AWAY, speed=0.5)
+        for _ in range(50):
+            time.sleep(0.0137)
+            state, controller = robot.realtime.latest, robot.controller
+            assert state is not None
+            assert state.received is not None
+            assert state.received.age < 0.0045
+            assert controller.time - state.time < 0.0045
+        handle.wait()
+
+
+@pytest.mark.simulated_time
+def test_callback_of_the_user_gets_each_state_when_it_is_sent() -> None:
+    ages, times = [], []
+
+    def look(state: RealtimeState) -> None:
+        assert state.received is not None
+        ages.append(state.received.age)
+        times.append(state.time)
+
+    with urlink.connect("sim://?firmware=5.11") as robot:
+        robot.realtime.wait(1.0)
+        with robot.realtime.subscribe(look), robot.realtime.subscribe(look, inline=True):
+            robot.motion.move_joints(AWAY, speed=2.0, acceleration=5.0).wait()
+    assert max(ages) < 1e-3
+    assert sorted({round(1e3 * step) for step in np.diff(sorted(set(times)))}) == [2]
+
+
+@pytest.mark.simulated_time
+def test_stop_of_a_callback_takes_effect_in_the_next_cycles() -> None:
+    """A callback that reacts must find the controller in the cycle of its state, and not in a later one."""
+    lags = []
+
+    with urlink.connect("sim://?firmware=5.11") as robot:
+        robot.realtime.wait(1.0)
+
+        def look(state: RealtimeState) -> None:
+            lags.append(robot.controller.time - state.time)
+
+        with robot.realtime.subscribe(look):
+            robot.motion.move_joints(AWAY, speed=2.0, acceleration=5.0).wait()
+    assert max(lags) < 1e-9
+
+
+@pytest.mark.simulated_time
+def test_fault_during_a_pause_is_seen_in_its_cycle() -> None:
+    with urlink.connect("sim://?firmware=5.11") as robot:
+        robot.realtime.wait(1.0)
+        stops: list[float] = []
+        robot.safety.on_stop(lambda error: stops.append(robot.controller.time))
+        robot.motion.move_joints(AWAY, speed=2.0, acceleration=5.0).wait()
+        time.sleep(0.5)
+        begun = robot.controller.time
+        robot.controller.faults.protective_stop()
+        time.sleep(0.5)
+        assert len(stops) == 1
+        assert 0.0 <= stops[0] - begun < 0.02
+
+
+def test_fault_at_a_simulated_time_does_not_disturb_a_sleep() -> None:
+    """The call waits for the thread of the controller, in place of a thread that already waits."""
+    with urlink.simulated_time(0) as sim, urlink.connect("sim://?firmware=5.11") as robot:
+        robot.realtime.wait(1.0)
+        sim.at(sim.now + 1.0, robot.controller.faults.protective_stop)
+        begun = sim.now
+        for _ in range(40):
+            time.sleep(0.05)
+        assert sim.now - begun == pytest.approx(2.0, abs=0.01)
+        assert robot.realtime.wait(1.0).safety_mode == SafetyMode.PROTECTIVE_STOP
