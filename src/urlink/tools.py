@@ -30,7 +30,7 @@ from linkcore.net.dialogue import Dialogue as Dialogue
 from linkcore.net.http_client import HttpClient as HttpClient
 from linkcore.net.listener import bound_socket as bound_socket, local_address as local_address
 from linkcore.net.transport import TcpTransport as TcpTransport, witnessed as witnessed
-from linkcore.plotting import element_names as element_names
+from linkcore.streaming.plotting import element_names as element_names
 
 # For recordings: their bytes, their columns, and MCAP.
 from linkcore.recording.columns import PacketColumns as PacketColumns

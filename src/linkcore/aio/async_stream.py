@@ -189,7 +189,7 @@ class AsyncFeed(StrictAttributes, Generic[T]):
         Raises:
             BadValue, LocalError, LinkTimeout, RemoteError, Closed: See `Feed.plot`.
         """
-        from ..plotting import LivePlot  # imported here: importing the library stays fast
+        from ..streaming.plotting import LivePlot  # imported here: importing the library stays fast
 
         seconds = check_seconds(seconds, "seconds", positive=True, finite=True)
         period = check_seconds(period, "period", positive=True, finite=True)

@@ -19,7 +19,7 @@ from .packet_queue import PacketQueue, Policy, block, check_lifespan, check_poli
 from .subscription import Subscription, check_deadline
 
 if TYPE_CHECKING:
-    from ..plotting import Plot
+    from .plotting import Plot
 
 T = TypeVar("T")
 
@@ -260,7 +260,7 @@ class Feed(StrictAttributes, Generic[T]):
             LinkTimeout: If no state arrives within `seconds`.
             RemoteError, LocalError, Closed: See `subscribe`.
         """
-        from ..plotting import SHORTEST, LivePlot  # imported here: importing the library stays fast
+        from .plotting import SHORTEST, LivePlot  # imported here: importing the library stays fast
 
         seconds = check_seconds(seconds, "seconds", positive=True, finite=True)
         period = check_seconds(period, "period", positive=True, finite=True)
@@ -284,7 +284,7 @@ class Feed(StrictAttributes, Generic[T]):
         Yield None if nothing has arrived yet. The last plot is made after `end`. It shows every state, even if drawing
         takes longer than receiving.
         """
-        from ..plotting import Curves, Plot
+        from .plotting import Curves, Plot
 
         units = {name: field.unit for name, field in getattr(self._kind, "FIELDS", {}).items()}
         is_over = False

@@ -13,7 +13,6 @@ import numpy as np
 
 from linkcore.errors import BadRecording, LocalError, WrongPeer
 from linkcore.names import StrictAttributes
-from linkcore.plotting import Curves, Plot
 from linkcore.recording.columns import PacketColumns, is_continuous
 from linkcore.recording.file import Kind, Progress, described, unseen
 from linkcore.recording.index import RecordIndex
@@ -21,6 +20,7 @@ from linkcore.recording.mcap_file import Topic, write_stretches
 from linkcore.recording.packets import Channel, read_channel
 from linkcore.recording.table import ClockColumn, Table
 from linkcore.recording.table_files import chosen, export, format_of
+from linkcore.streaming.plotting import Curves, Plot
 from linkcore.wire.framing import PacketProtocol
 from linkcore.wire.packet import State
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import urlink
-from linkcore import plotting
+from linkcore.streaming import plotting
 from tests.waiting import until
 from urlink import Closed, ConnectFailed, LocalError, SafetyStop
 from urlink.packets import SafetyMode

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 import urlink
 import urlink.cli
-from linkcore import plotting, process
-from linkcore.plotting import Curves, Plot
+from linkcore import process
 from linkcore.recording.file import Kind, RecordingWriter
+from linkcore.streaming import plotting
 from linkcore.streaming.history import History
+from linkcore.streaming.plotting import Curves, Plot
 from tests.waiting import until
 from urlink.packets import RealtimeState, Stamp
 

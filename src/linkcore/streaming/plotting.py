@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from . import clock
-from .errors import BadRecording, BadValue
-from .names import StrictAttributes, needs
+from .. import clock
+from ..errors import BadRecording, BadValue
+from ..names import StrictAttributes, needs
 
 #: Maximum number of points of a line. For a longer line, only the minimum and maximum of each section are drawn.
 _MOST_POINTS = 8000
