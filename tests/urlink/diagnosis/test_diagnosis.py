@@ -88,6 +88,7 @@ def test_right_cause_is_first_without_codes() -> None:
 # -- missing columns -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_explanation_never_raises_when_columns_are_missing(data: st.DataObject) -> None:

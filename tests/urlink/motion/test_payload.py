@@ -203,6 +203,7 @@ def test_plan_rejects_limits_that_are_too_narrow(given_limits: WristLimits, mess
 # -- automatic -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_measures_and_sets_the_payload_within_limits(arm: tuple[Controller, Robot]) -> None:
     controller, robot = arm
     # An offset of the sensor that turns with the tool: zero it under a push, and then release it.
@@ -319,6 +320,7 @@ def test_measures_with_currents_without_a_sensor() -> None:
 # -- by hand ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_measures_postures_that_a_person_chooses(arm: tuple[Controller, Robot]) -> None:
     controller, robot = arm
     robot.set_payload(MASS, CENTRE)
@@ -351,6 +353,7 @@ def test_by_hand_ends_when_no_new_posture_comes(arm: tuple[Controller, Robot]) -
 # -- asyncio ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_async_measurement_and_wrench() -> None:
     async def measure() -> None:
         async with urlink.connect_async("sim://ur5e?firmware=5.11") as robot:
