@@ -22,4 +22,5 @@ MODULES = (
     "linkcore/streaming/*.py",
     "linkcore/aio/*.py",
     "rhdlink/*.py",
+    "rhdlink/sync/*.py",
 )

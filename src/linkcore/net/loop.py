@@ -642,7 +642,7 @@ class SelectorLoop:
 
             def call() -> float | None:
                 until, now = work(), self.time()
-                if until is None or self._lost or self._earliest <= now:
+                if until is None or self._calls or self._lost or self._earliest <= now:
                     return None
                 return max(min(until, self._earliest) - now, 0.0)
 
