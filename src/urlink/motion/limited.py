@@ -216,10 +216,13 @@ class LimitedArm:
             speeds = [self.qd, self.qd]
             times = [0.0, delay]
             rise = float(np.abs(qd - self.qd).max()) / acceleration
-            # A short command counts as having time to reach the whole speed. The controller stretches the time of a
-            # speed while the speed scaling is low, such as at the start of a program, but not the acceleration.
-            speeds += [qd, qd, np.zeros(6)]
-            times += [rise, max(seconds - rise, 0.0), float(np.abs(qd).max()) / acceleration]
+            if self.is_moving:
+                # The arm might still accelerate by an earlier command until the new one takes over.
+                seconds = max(seconds, min(rise, seconds + max(delays)))
+            reached = qd if rise <= seconds else self.qd + (qd - self.qd) * seconds / rise
+            speeds += [reached, reached, np.zeros(6)]
+            held = max(seconds - rise, 0.0)
+            times += [min(rise, seconds), held, float(np.abs(reached).max()) / acceleration]
             q, rows, rates = self.q, [self.q], [self.qd]
             for first, last, length in zip(speeds, speeds[1:], times[1:], strict=False):
                 n = _count(float(np.abs(first).sum() + np.abs(last).sum()) * length / STEP, 2)
@@ -273,9 +276,11 @@ class LimitedArm:
         line, turn = (
             max(float(np.linalg.norm(each[part])) for each in (xd, velocity)) for part in (slice(0, 3), slice(3, 6))
         )
-        change = xd - velocity
-        # For the time to reach the whole speed, see `check_joint_speed`.
-        seconds = max(seconds, max(float(np.linalg.norm(change[:3])), float(np.linalg.norm(change[3:]))) / acceleration)
+        if self.is_moving:
+            change = xd - velocity
+            rise = max(float(np.linalg.norm(change[:3])), float(np.linalg.norm(change[3:]))) / acceleration
+            # The arm might still accelerate by an earlier command until the new one takes over.
+            seconds = max(seconds, min(rise, seconds + DELAYS[-1]))
         total = delay + seconds + max(line, turn) / braking
         if line * total > _FURTHEST or turn * total > _MOST_TURN:
             raise LimitExceeded(
