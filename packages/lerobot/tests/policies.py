@@ -19,15 +19,10 @@ from lerobot.processor import DeviceProcessorStep, PolicyProcessorPipeline, Rena
 HORIZON, STEP = 40, 0.01
 
 
-@PreTrainedConfig.register_subclass("steady")
 @dataclass
-class SteadyConfig(PreTrainedConfig):
-    """Configuration of a policy that turns wrist 3 steadily. `seconds` is its computing time."""
+class UntrainedConfig(PreTrainedConfig):
+    """Configuration of a policy that LeRobot does not train."""
 
-    seconds: float = 0.1
-
-    #: parameters of real-time chunking; not a field, because they are not saved
-    rtc_config = None
     observation_delta_indices = action_delta_indices = reward_delta_indices = None
 
     def get_optimizer_preset(self) -> Any:
@@ -38,6 +33,17 @@ class SteadyConfig(PreTrainedConfig):
 
     def validate_features(self) -> None:
         return None
+
+
+@PreTrainedConfig.register_subclass("steady")
+@dataclass
+class SteadyConfig(UntrainedConfig):
+    """Configuration of a policy that turns wrist 3 steadily. `seconds` is its computing time."""
+
+    seconds: float = 0.1
+
+    #: parameters of real-time chunking; not a field, because they are not saved
+    rtc_config = None
 
 
 class SteadyPolicy(PreTrainedPolicy):

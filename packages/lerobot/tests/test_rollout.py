@@ -25,6 +25,7 @@ from lerobot.scripts import lerobot_rollout as rollout_script
 
 import urlink
 from lerobot_robot_urlink import UR, URConfig
+from packages.lerobot.tests.policies import UntrainedConfig
 from packages.mujoco.tests.placing import DOWN, TCP, arm_at
 from urlink.arm.kinematics import Arm
 from urlink_mujoco import MujocoWorld
@@ -38,19 +39,8 @@ POSITIONS = [f"joint_{number}.pos" for number in range(1, 7)]
 
 @PreTrainedConfig.register_subclass("linear")
 @dataclass
-class LinearConfig(PreTrainedConfig):
+class LinearConfig(UntrainedConfig):
     """Configuration of a policy: its action is a matrix times the joint positions, plus an offset."""
-
-    observation_delta_indices = action_delta_indices = reward_delta_indices = None
-
-    def get_optimizer_preset(self) -> Any:
-        raise NotImplementedError
-
-    def get_scheduler_preset(self) -> None:
-        return None
-
-    def validate_features(self) -> None:
-        return None
 
 
 class LinearPolicy(PreTrainedPolicy):

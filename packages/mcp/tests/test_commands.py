@@ -17,6 +17,7 @@ from pydantic import ValidationError
 
 import urlink
 from packages.mcp.tests.clients import events, is_moving, rests_before, run, turned, until
+from tests.fakes.clock import Clock
 from urlink_mcp.actions import MoveJoints, MoveToPoint, OfRobot, SetDigitalOutput, prepare, rehearse
 from urlink_mcp.commands import Answer, RobotCommands
 from urlink_mcp.questions import Question
@@ -26,15 +27,6 @@ pytestmark = [pytest.mark.real_time, pytest.mark.slow]
 
 CLIENT = Client("tester", "1", "stdio")
 YES: Answer = ("accept", {"consent": True})
-
-
-class Clock:
-    """Clock that a test sets, in s."""
-
-    time = 100.0
-
-    def __call__(self) -> float:
-        return self.time
 
 
 @pytest.fixture
@@ -74,9 +66,9 @@ def test_consent_is_valid_until_its_time(
             question = await prepared(commands, MoveJoints(q=turned(robot, 0.05), speed=0.5))
             # Small steps, because a large step would be an interruption of the process.
             for _ in range(300):
-                clock.time += 0.1
+                clock.now += 0.1
                 expiry.tick()
-            clock.time = question.until + late
+            clock.now = question.until + late
             if is_moved:
                 assert await answered(commands, question) == {"phase": "done"}
             else:
@@ -94,7 +86,7 @@ def test_request_and_consent_after_interruption_are_refused(
     async def main() -> None:
         request = MoveJoints(q=turned(robot, 0.05))
         question = await prepared(commands, request)
-        clock.time += 3.0
+        clock.now += 3.0
         with pytest.raises(urlink.LinkTimeout, match="this process was interrupted"):
             await answered(commands, question)
         with pytest.raises(urlink.LinkTimeout, match="this process was interrupted"):

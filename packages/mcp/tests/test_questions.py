@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 
 import urlink
+from tests.fakes.clock import Clock
 from urlink_mcp.actions import Action
 from urlink_mcp.questions import SCHEMA, Question, Questions, check_answer
 from urlink_mcp.request_log import Client
@@ -22,15 +23,6 @@ TIME = 30.0
 
 def question(until: float, arguments: dict[str, Any] | None = None) -> Question:
     return Question(CLIENT, "move_joints", arguments or {}, ACTION, urlink.PendingCall(), until)
-
-
-class Clock:
-    """Clock that a test sets, in s."""
-
-    time = 100.0
-
-    def __call__(self) -> float:
-        return self.time
 
 
 json = st.recursive(
@@ -61,11 +53,11 @@ def test_form_has_no_default_consent() -> None:
 def test_check_rejects_late_answer() -> None:
     clock = Clock()
     questions = Questions(TIME, clock)
-    asked = question(clock.time + TIME)
+    asked = question(clock.now + TIME)
     questions.add(asked)
-    clock.time += TIME
+    clock.now += TIME
     questions.check(asked)
-    clock.time += 0.5
+    clock.now += 0.5
     with pytest.raises(urlink.LinkTimeout, match=r"the consent came 1 s too late; it was valid for 30 s"):
         questions.check(asked)
 
@@ -96,11 +88,11 @@ class QuestionsMachine(RuleBasedStateMachine):
         self.used: list[Question] = []
 
     def is_valid(self, each: Question) -> bool:
-        return each.until >= self.clock.time
+        return each.until >= self.clock.now
 
     @rule(arguments=st.dictionaries(st.sampled_from("ab"), st.integers(0, 2), max_size=2))
     def add(self, arguments: dict[str, Any]) -> None:
-        asked = question(self.clock.time + TIME, arguments)
+        asked = question(self.clock.now + TIME, arguments)
         valid = [each for each in self.open if self.is_valid(each)]
         if len(valid) < 8:
             self.questions.add(asked)
@@ -112,7 +104,7 @@ class QuestionsMachine(RuleBasedStateMachine):
 
     @rule(seconds=st.floats(0.0, 40.0))
     def wait(self, seconds: float) -> None:
-        self.clock.time += seconds
+        self.clock.now += seconds
 
     @rule(data=st.data(), is_same=st.booleans())
     def answer(self, data: st.DataObject, is_same: bool) -> None:

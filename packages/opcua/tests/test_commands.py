@@ -13,6 +13,7 @@ from asyncua import ua
 from asyncua.crypto.permission_rules import User, UserRole
 
 import urlink
+from tests.fakes.clock import Clock
 from tests.waiting import until
 from urlink_opcua.access import Operator
 from urlink_opcua.commands import PROGRAMS, Outcome, RobotCommands
@@ -20,15 +21,6 @@ from urlink_opcua.commands import PROGRAMS, Outcome, RobotCommands
 pytestmark = pytest.mark.real_time
 
 OPERATOR = Operator(UserRole.User, "operator")
-
-
-class Clock:
-    """Clock that a test sets, in s."""
-
-    time = 100.0
-
-    def __call__(self) -> float:
-        return self.time
 
 
 @pytest.fixture
@@ -56,12 +48,12 @@ def ask(commands: RobotCommands, lane: str = "programs", user: User = OPERATOR) 
 
 def test_command_after_interruption_is_refused_but_not_a_stop(commands: RobotCommands, clock: Clock) -> None:
     assert ask(commands) == ua.StatusCodes.Good
-    clock.time += 3.0
+    clock.now += 3.0
     assert ask(commands) == ua.StatusCodes.BadTimeout
     assert ask(commands, "registers") == ua.StatusCodes.BadTimeout
     assert ask(commands, "stops") == ua.StatusCodes.Good
     for _ in range(6):  # the server ticks while it runs
-        clock.time += 1.0
+        clock.now += 1.0
         ask(commands)
     assert ask(commands) == ua.StatusCodes.Good
 
