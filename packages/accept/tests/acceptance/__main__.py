@@ -89,19 +89,20 @@ def sound(stages: Sequence[int], is_real: bool, seed: int) -> dict[str, Any]:
 
 
 @contextlib.contextmanager
-def busy() -> Iterator[None]:
-    """Run another process that computes all the time."""
-    process = subprocess.Popen([sys.executable, "-c", "while True: pass"])
+def busy(count: int) -> Iterator[None]:
+    """Run other processes that compute all the time."""
+    processes = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
     try:
         yield
     finally:
-        process.kill()
-        process.wait()
+        for process in processes:
+            process.kill()
+            process.wait()
 
 
 def all_sound(args: argparse.Namespace) -> int:
-    with busy() if args.real else contextlib.nullcontext():
-        runs = list(trials.tried(args, partial(sound, args.stages, args.real)))
+    with busy(args.busy or 0):
+        runs = list(trials.tried(args, partial(sound, args.stages, args.busy is not None)))
     states = sum((Counter(each["states"]) for each in runs), Counter[str]())
     wrong = sum(bool(each["alarms"]) for each in runs)
     rows = len({each["seed"] % len(RELEASES) for each in runs})
@@ -169,7 +170,7 @@ def main() -> int:
     of_sound, of_faults = kinds.add_parser("sound"), kinds.add_parser("faults")
     trials.add_arguments(of_sound, runs=len(RELEASES))
     of_sound.add_argument("--stages", type=int, nargs="+", choices=tuple(STAGES), default=tuple(STAGES))
-    of_sound.add_argument("--real", action="store_true", help="run in real time, next to a busy process")
+    of_sound.add_argument("--busy", type=int, help="run in real time, beside this number of busy processes")
     trials.add_arguments(of_faults, runs=12)
     of_drawn = kinds.add_parser("drawn")
     of_drawn.add_argument("--seed", type=int, default=SEED)
