@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from linkcore.errors import BadValue
 from linkcore.net.transport import TcpTransport
 from urlink.simulator import Controller
+from urlink.simulator.server import Server
 from urlink_accept.acceptance.evidence import Evidence
 from urlink_accept.acceptance.logbook import Logbook
 from urlink_accept.acceptance.person import Nobody
@@ -99,3 +101,30 @@ def test_connection_stays_open_when_logbook_ends(tmp_path: Path) -> None:
             transport.open(5.0)
         assert transport.receive(5.0)[0]
         transport.abort()
+
+
+@pytest.mark.slow
+@pytest.mark.simulated_time
+@pytest.mark.parametrize("is_sent_later", [False, True])
+def test_stage_detects_controller_that_waits_for_silent_client(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_sent_later: bool
+) -> None:
+    """Nobody gets a packet while one client has not read the previous ones."""
+    waiting: list[tuple[str, Any]] = []
+    broadcast = Server._broadcast
+
+    def wait_for_all(self: Server, kind: str, packet: Any) -> None:
+        if any(client.pending for clients in self._clients.values() for client in clients):
+            if is_sent_later:
+                waiting.append((kind, packet))
+            return
+        for each in waiting:
+            broadcast(self, *each)
+        waiting.clear()
+        broadcast(self, kind, packet)
+
+    monkeypatch.setattr(Server, "_broadcast", wait_for_all)
+    path = tmp_path / "run.urlog"
+    run("sim://ur5e?firmware=5.11", path, (1,), consent, person=Nobody())
+    (verdict,) = judge(Evidence(path), {"silent-client": requirements()["silent-client"]})
+    assert (verdict.state, "while another client did not read" in verdict.seen) == ("not held", True), verdict
