@@ -229,3 +229,25 @@ def test_missed_packets_are_not_judged_after_many_delays(by: float, state: str) 
     of.notes += [Note(0.1 + 0.1 * number, "delayed", {"by": by}) for number in range(25)]
     of.notes += [Note(3.0, "woken", {"worst": by})]
     assert verdict("realtime-missed", of)[0] == state
+
+
+@pytest.mark.parametrize(
+    ("wrong", "by", "state"),
+    [(1, 0.2, "held"), (1, 0.0, "not held"), (30, 0.2, "not held")],
+)
+def test_single_different_signal_is_not_judged_when_busy(wrong: int, by: float, state: str) -> None:
+    """A busy computer interrupts a simulated controller between the packets of two interfaces."""
+    of = evidence(np.zeros((1000, 6)), [Note(0.0, "stage", {"number": 0}), Note(1.1, "delayed", {"by": by})])
+    came, noise = of.realtime, np.random.default_rng(1).normal(size=(1000, 6))
+    for each, q in zip(came.states, noise, strict=True):
+        each.q_actual, each.digital_input_bits = q, 0
+    rtde = [
+        SimpleNamespace(timestamp=each.time, actual_q=each.q_actual, actual_digital_input_bits=0)
+        for each in came.states
+    ]
+    for each in rtde[500 : 500 + wrong]:
+        each.actual_digital_input_bits = 16
+    of.__dict__["rtde"] = Came(rtde, list(came.arrivals), begins=[0])
+    of.__dict__["primary"] = of.__dict__["secondary"] = Came()
+    found, seen = verdict("fields-agree", of)
+    assert found == state, seen
