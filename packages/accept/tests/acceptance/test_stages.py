@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from urlink_accept.acceptance.person import Nobody
 from urlink_accept.acceptance.report import as_html, as_text, is_accepted, judge
 from urlink_accept.acceptance.requirements import requirements
 from urlink_accept.acceptance.stages import run
+from urlink_accept.acceptance.standing import try_each
 
 #: Requirements that cannot be tried while nothing moves.
 _MOVED = {"velocities", "tcp-speed"}
@@ -123,7 +125,11 @@ def test_stage_detects_controller_that_waits_for_silent_client(
         waiting.clear()
         broadcast(self, kind, packet)
 
+    def some(book: Logbook, steps: Mapping[str, Callable[[], Any]]) -> None:
+        try_each(book, {name: steps[name] for name in ("sleep", "silent-client")})
+
     monkeypatch.setattr(Server, "_broadcast", wait_for_all)
+    monkeypatch.setattr("urlink_accept.acceptance.standing.try_each", some)
     path = tmp_path / "run.urlog"
     run(f"sim://{address}", path, (1,), consent, person=Nobody())
     (verdict,) = judge(Evidence(path), {"silent-client": requirements()["silent-client"]})
