@@ -74,8 +74,13 @@ class RealtimeInterface(Interface):
         return RestPackets(self._form, self._shown, round(self._shown.time * rate), rate, times)
 
     def steady_packet(self) -> RealtimePacket | None:
+        """Return the packet of this cycle if it is steady; None if `packet` must make it when it is sent."""
+        before = self._shown
         packet = self.packet()
-        return packet if packet.is_steady else None
+        if packet.is_steady:
+            return packet
+        self._shown = before
+        return None
 
 
 class Shown(NamedTuple):

@@ -68,7 +68,8 @@ class RunningProgram:
         drive, generator, state = self._drive, self._drive.generator, self._state
         generator.speed_fraction = state.slider
         if self.is_program:
-            generator.tcp = state.arm.tcp
+            if generator.arm.tcp != (tcp := state.arm.tcp):
+                generator.tcp = tcp
             self.execution.advance()
             # If the last statement was protective_stop(), the stop must be reported before the end of the program.
             if self.execution.is_over and state.modes.may_move:

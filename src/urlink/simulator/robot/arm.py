@@ -199,11 +199,12 @@ class SimulatedArm:
     @property
     def overload(self) -> Overload | None:
         """Reason for a protective stop that the sensors have detected in this cycle; None if there is none."""
-        furthest = max(self.deviation, key=abs)
-        if abs(furthest) > _DEVIATION_LIMIT and self.is_moving:
-            joint = list(self.deviation).index(furthest)
-            text = f"{JOINTS[joint]}: the position deviates from its target by {abs(furthest):.4f} rad"
-            return Overload(text, (_DEVIATES, joint))
+        if any(self.deviation):
+            furthest = max(self.deviation, key=abs)
+            if abs(furthest) > _DEVIATION_LIMIT and self.is_moving:
+                joint = list(self.deviation).index(furthest)
+                text = f"{JOINTS[joint]}: the position deviates from its target by {abs(furthest):.4f} rad"
+                return Overload(text, (_DEVIATES, joint))
         return self.force_sensor.overload
 
     def carry(self, payload: Sequence[float], seconds: float) -> None:

@@ -42,7 +42,7 @@ from .matrices import HAS_MATRICES
 from .statements import StatementQueue
 from .tokens import SourceText
 from .values import UNSET, weight
-from .world import BegunMove, ScriptWorld
+from .world import BegunMove, ScriptWorld, SensorValues
 
 Frame = list[Any]
 Instruction = Callable[[Frame], int]
@@ -277,7 +277,7 @@ class Machine:
         remote_calls: Number of calls of remote methods so far.
         random: Source of random numbers for the function `random`. The numbers are the same in every run.
         has_matrices: Whether the firmware supports arithmetic with matrices.
-        history: Joint positions of past cycles; the newest are last.
+        history: Sensors of past cycles; the newest are last.
         has_moved: Whether the program has begun any motion.
     """
 
@@ -288,7 +288,7 @@ class Machine:
         self.left = self.slice = MAX_INSTRUCTIONS
         self.spinning = self.reads = self.remote_calls = 0
         self.random = random.Random(0)
-        self.history: deque[tuple[float, ...]] = deque(maxlen=500)
+        self.history: deque[SensorValues] = deque(maxlen=500)
         self.has_moved = False
         self._owner: ScriptThread | None = None
         self._move: BegunMove | None = None
@@ -318,7 +318,7 @@ class Machine:
         self.left = MAX_INSTRUCTIONS
         self.slice = MAX_INSTRUCTIONS // len(threads)
         self.spinning = self.reads = self._work = 0
-        self.history.append(tuple(self.world.q_actual))
+        self.history.append(self.world.sensors)
         # The loop also runs new threads, because `start` appends them to this list.
         for thread in threads:
             if not thread.is_over:
