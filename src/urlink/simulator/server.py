@@ -257,7 +257,7 @@ class Server:
 
     @property
     def _only_client(self) -> Connection | None:
-        """Connection of the only client of the real-time interface; None if there are more, or if its link has faults."""
+        """Connection of the only client of the real-time interface; None without one, or if its link has faults."""
         clients = self._clients.get("realtime", ())
         if len(clients) != 1 or self._clients.get("realtime_readonly") or clients[0].segmenter is not None:
             return None
@@ -308,8 +308,9 @@ class Server:
             packet = realtime.steady_packet()
             if packet is None or not state.outbox.is_empty:
                 self._is_held = True
-            elif not packets and control.is_unchanging:
-                packets = realtime.rest_packets(control.rest(last - state.cycle))
+            elif not packets and (samples := control.follow(last - state.cycle)) is not None:
+                packets = realtime.later_packets(samples)
+                break
             else:
                 packets = [*packets, packet]
         if packets:
