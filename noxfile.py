@@ -328,7 +328,7 @@ def release(session: nox.Session) -> None:
     built = {}
     for package, folder in distributions().items():
         place = dist / (package or "urlink")
-        pretended = {} if tag.strip() else {"SETUPTOOLS_SCM_PRETEND_VERSION_FOR_URLINK_ROBOT": version}
+        pretended = {} if tag.strip() else {"SETUPTOOLS_SCM_PRETEND_VERSION": version}
         session.run("python", "-m", "build", "-q", "--no-isolation", "-o", str(place), str(folder), env=pretended)
         built[package] = next(place.glob("*.whl"))
         if built[package].name.split("-")[1] != version:

@@ -22,7 +22,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 __all__ = ["commands", "main"]
@@ -46,6 +46,8 @@ FILES = {"table.xml": ROOT / "packages/mujoco/tests/table.xml"}
 
 #: Commands that run until they are interrupted.
 SERVES = ("urlink serve ", "urlink sim ", "urlink view ", "mosquitto_sub ")
+#: Programs of other projects, which are left out if they are not installed.
+OTHERS = ("curl", "mosquitto_sub")
 TIMEOUT = 600.0
 
 
@@ -99,24 +101,34 @@ def served(command: list[str]) -> Iterator[None]:
     """Run a command that serves robots until the block ends; it must then end without an error.
 
     Raises:
-        SystemExit: If the command ends too early, prints nothing within `TIMEOUT`, or fails.
+        SystemExit: If the command ends too early, does not serve within `TIMEOUT`, or fails.
     """
-    with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE) as process:
+    is_ready = threading.Event()
+
+    def read(lines: Iterable[str]) -> None:
+        for line in lines:
+            print(line, end="", flush=True)
+            if "Ctrl-C" in line or command[0] in OTHERS:
+                is_ready.set()
+
+    both = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    with subprocess.Popen(command, stdin=subprocess.DEVNULL, text=True, **both) as process:
         assert process.stdout is not None
-        output, printed = process.stdout, []
-        reader = threading.Thread(target=lambda: printed.append(output.readline()), daemon=True)
+        reader = threading.Thread(target=read, args=(process.stdout,), daemon=True)
         reader.start()
-        reader.join(TIMEOUT)
         try:
-            if not any(printed):
-                raise SystemExit(f"{shlex.join(command)} did not start")
+            end = time.monotonic() + TIMEOUT
+            while not is_ready.wait(0.1):
+                if process.poll() is not None or time.monotonic() > end:
+                    raise SystemExit(f"{shlex.join(command)} did not start")
             yield
         finally:
             process.send_signal(signal.SIGINT)
             try:
-                process.communicate(timeout=60.0)
+                process.wait(60.0)
             except subprocess.TimeoutExpired:
                 process.kill()
+            reader.join(60.0)
     # Most programs report the signal that ended them.
     if process.returncode not in (0, 128 + signal.SIGINT, -signal.SIGINT):
         raise SystemExit(f"{shlex.join(command)} ended with status {process.returncode}")
@@ -144,6 +156,9 @@ def main(folder: str) -> None:
         if not found:
             raise SystemExit(f"{folder}/README.md has no example")
         for command in found:
+            if command[0] in OTHERS and shutil.which(command[0]) is None:
+                print("left out, because the program is not installed:", shlex.join(command), flush=True)
+                continue
             print("+", shlex.join(command), flush=True)
             if is_server(command):
                 stack.enter_context(served(command))
