@@ -263,7 +263,9 @@ def test_other_motions_are_executed_cycle_by_cycle(text: str) -> None:
 
 def test_transition_to_a_joint_motion_is_executed_cycle_by_cycle() -> None:
     controller = Controller(firmware="5.11")
-    controller.take("def p():\n  speedj([0.8, 0, 0, 0, 0, 0], 5, 1.5)\n  movej([3.5, -1.5, 1.5, -1.6, -1.6, 0.2])\nend\n")
+    controller.take(
+        "def p():\n  speedj([0.8, 0, 0, 0, 0, 0], 5, 1.5)\n  movej([3.5, -1.5, 1.5, -1.6, -1.6, 0.2])\nend\n"
+    )
     controller.step(810)
     assert controller._control.follow(50) is None
     controller.step(100)
