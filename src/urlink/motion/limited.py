@@ -55,6 +55,8 @@ _STOPPING, _ROUNDED = 4.0, 2e-6
 FIRST_STEP = 0.01
 #: Watched motions: number of cycles until the arm begins to brake.
 _REACTION = 6
+#: Parts of a speed of the tool: along the axes, and about the axes.
+_LINE_AND_TURN = slice(0, 3), slice(3, 6)
 
 
 #: Predicted motion: a function that returns positions in rad and speeds in rad/s, (6,) each, at a time in s, and the
@@ -135,6 +137,21 @@ class LimitedArm:
         jacobians = self.arm.jacobian(q, self.tcp)[..., :3, :]
         speeds: FloatArray = np.linalg.norm(np.einsum("...ij,...j->...i", jacobians, qd), axis=-1)
         return speeds
+
+    def shortest(self, q: FloatArray, way: FloatArray) -> float:
+        """Return the shortest duration, in s, of a motion at constant speed of the joints within the limits of speed.
+
+        Args:
+            q: Positions on the way, (n, 6) rad.
+            way: Turns of the joints, (6,) rad.
+        """
+        seconds = 0.0
+        if self.limits.joint_speed is not None:
+            seconds = float(np.abs(way).max()) / self.limits.joint_speed
+        if self.limits.tool_speed is not None:
+            furthest = float(self.tool_speeds(q, np.broadcast_to(way, q.shape)).max())
+            seconds = max(seconds, furthest / self.limits.tool_speed)
+        return seconds
 
     def check_start(self) -> None:
         """Raise `LimitExceeded` unless the arm is at rest, with its tool in the box."""
@@ -320,6 +337,41 @@ class LimitedArm:
             poses.append(pose)
         return np.array(poses), dt
 
+    def check_tool_stop(self, xd: FloatArray, acceleration: float, seconds: float) -> None:
+        """Check that a tool could come to rest within the limits after some more time at a speed.
+
+        This method needs a small part of the time of `check_tool_speed`, so a loop can call it in each cycle.
+
+        Args:
+            xd: Speed of the tool in the base frame, (6,) in m/s and rad/s.
+            acceleration: Acceleration in m/s² and rad/s², also for braking.
+            seconds: Time until the tool brakes, in s.
+        """
+        q, jacobian = self.q, self.arm.jacobian(self.q, self.tcp)
+        before = jacobian @ self.qd
+        reached = np.concatenate([_towards(before[p], xd[p], acceleration * seconds) for p in _LINE_AND_TURN])
+        if self.limits.box is not None:
+            rise = min(float(np.linalg.norm(reached[:3] - before[:3])) / acceleration, seconds)
+            # While the speed changes, the tool moves on a parabola. It lies in the triangle of its ends and of the
+            # point where the tangents of both meet. The rest of the path is straight, so the box contains the path if
+            # it contains these points.
+            place = self.arm.forward(q, self.tcp)[:3]
+            meet = place + 0.5 * rise * before[:3]
+            end = meet + (seconds - 0.5 * rise) * reached[:3]
+            rest = end + 0.5 * float(np.linalg.norm(reached[:3])) / acceleration * reached[:3]
+            self.limits.check_places(np.stack([place, meet, meet + 0.5 * rise * reached[:3], end, rest]))
+        braking = max(float(np.linalg.norm(reached[part])) for part in _LINE_AND_TURN) / acceleration
+        try:
+            qd = np.linalg.solve(jacobian, reached)
+            # At the same speed of the tool, the joints are faster closer to a singularity.
+            places = q + np.array([[seconds], [seconds + 0.375 * braking]]) * qd
+            later = np.linalg.solve(self.arm.jacobian(places, self.tcp), np.stack([reached, 0.5 * reached])[..., None])
+        except np.linalg.LinAlgError:
+            raise LimitExceeded("joint_speed", "the arm is at a singularity", "an arm outside of it") from None
+        self.limits.check_joint_speeds(np.concatenate([qd[np.newaxis], later[..., 0]]))
+        if self.limits.tool_speed is not None:
+            self.limits.check_tool_speeds(np.linalg.norm(reached[np.newaxis, :3], axis=1))
+
     def check_curve(
         self,
         sample: Callable[[FloatArray], tuple[FloatArray, FloatArray]],
@@ -346,12 +398,20 @@ class LimitedArm:
             qd = qd + np.sign(qd) * 1.5 * np.abs(offset) / seconds
         self.check(q, qd, margin)
 
-    def check_trajectory(self, trajectory: JointCurve) -> None:
-        """Check a trajectory that begins close to the position of the arm."""
+    def check_trajectory(self, trajectory: JointCurve, *, begins_slowly: bool) -> None:
+        """Check a trajectory that begins close to the position of the arm.
+
+        Args:
+            trajectory: The trajectory.
+            begins_slowly: Whether the time of the trajectory passes slowly at first, like the time of a program that
+                has just started (`ProgramTimer.restart`). Otherwise the arm falls behind and catches up.
+        """
         offset = self.q - trajectory.q[0]
 
         def followed(t: FloatArray) -> tuple[FloatArray, FloatArray]:
             q, qd, _ = trajectory.at(t)
+            if begins_slowly:
+                return q, qd
             # Accelerations of the last _OVERSHOOTS in the direction of the motion, the oldest one first.
             recent = [np.sign(qd) * trajectory.at(t - lag)[2] for lag in _OVERSHOOTS]
             overshoot = _OVERSHOOT * np.maximum(np.max(recent, axis=0) - recent[0], 0.0)
