@@ -427,9 +427,10 @@ class LimitedArm:
             speed, acceleration: Speed and acceleration of the tool, in m/s and m/s².
             distance: Longest distance, in m.
         """
-        # The program moves for this time if nothing is touched (`urlink.script.force_control.until_contact`).
-        # In the simulator, it ends up to eight cycles later than this.
-        seconds = distance / speed + speed / acceleration + 3 * LATE * self.cycle
+        # The program moves for the first two times if nothing is touched (`urlink.script.force_control.until_contact`).
+        # Its start stretches the motion by `RAMP`. If the speed is reached sooner, the tool is slower meanwhile, so the
+        # distance grows by less. In the simulator, the program ends up to one cycle later.
+        seconds = distance / speed + speed / acceleration + min(RAMP, 0.5 * speed / acceleration) + 2.0 * self.cycle
         xd = np.concatenate([speed * direction, np.zeros(3)])
         self.check_tool_speed(xd, acceleration, seconds, delays=(0.0,))
 

@@ -80,15 +80,15 @@ class _Jogging(LinkDialogue):
             speeds = _REST
         elif self._frame == "tool":
             speeds = in_base(speeds, state)
-        return message(self._watched(newest[0], speeds, self._timeout - (now - at), state).tolist())
+        return message(self._watched(newest[0], speeds, state).tolist())
 
-    def _watched(self, asked: FloatArray, speeds: FloatArray, left: float, state: RealtimeState) -> FloatArray:
+    def _watched(self, asked: FloatArray, speeds: FloatArray, state: RealtimeState) -> FloatArray:
         """Return the speeds, or zero speeds if a limit of the session has been reached since they were asked for."""
         if self.watch is None or not speeds.any():
             return speeds
         if self.reached is None or self.reached[0] is not asked:
             try:
-                self.watch.check(state, speeds, left)
+                self.watch.check(state, speeds)
             except LimitExceeded as error:
                 self.reached = asked, error
             else:
@@ -219,10 +219,9 @@ class _Holding(LinkDialogue):
         with self._section:
             if self._began is None:
                 self._began = now
-            left = self._duration - (now - self._began)
-            self.is_over = left <= 0.0
+            self.is_over = now - self._began >= self._duration
             if self._watch is not None and not self.is_over:
-                self._watch.check(state, self._speeds, left)
+                self._watch.check(state, self._speeds)
             return message(self._speeds.tolist())
 
     def part(self, now: float) -> float:

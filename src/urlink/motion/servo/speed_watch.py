@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from ...arm.vectors import FloatArray
 from ...protocol.realtime.packets import RealtimeState
 from ..limited import LimitedArm
@@ -27,21 +25,21 @@ class SpeedWatch:
         self._acceleration = acceleration
         self._is_tool = is_tool
 
-    def check(self, state: RealtimeState, speeds: FloatArray, seconds: float = math.inf) -> None:
+    def check(self, state: RealtimeState, speeds: FloatArray) -> None:
         """Check that the arm can move at these speeds until the next state.
 
         Args:
             state: Newest state of the robot.
             speeds: Speeds, (6,) in rad/s, or in m/s and rad/s.
-            seconds: Time after which the arm brakes in any case, in s.
 
         Raises:
             LimitExceeded: If the arm could then no longer come to rest within the limits.
         """
         limited = self._limited
         limited.q, limited.qd, limited.is_moving = state.q_target, state.qd_target, True
-        horizon = min(seconds, limited.cycle) + AHEAD * limited.cycle
+        # The message after the next state takes effect after this time.
+        seconds = AHEAD * limited.cycle
         if self._is_tool:
-            limited.check_tool_stop(speeds, self._acceleration, horizon)
+            limited.check_tool_stop(speeds, self._acceleration, seconds)
         else:
-            limited.check_joint_speed(speeds, self._acceleration, horizon, delays=(0.0,))
+            limited.check_joint_speed(speeds, self._acceleration, seconds, delays=(0.0,))
