@@ -273,12 +273,14 @@ class Motions(StrictAttributes):
           for the time `duration`.
         - A longer motion is controlled over a `link` with a watchdog of 0.5 s. If the next call has a `duration` of
           0.5 s or more and the same `acceleration`, it changes the speed and the duration, and returns the same handle.
+        - In a session with limits, every motion is controlled over a `link`, with a watchdog of 0.2 s. If the arm comes
+          too close to a limit, it brakes, and the motion ends with `LimitExceeded`.
 
         Args:
             qd: Speeds of the joints, shape (6,), in rad/s.
             acceleration: Acceleration in rad/s², for changes of speed and for braking.
             duration: Time until the arm brakes, in seconds.
-            link: See `follow`. The link has no effect for a `duration` up to 0.5 s.
+            link: See `follow`. Without limits of the session, it has no effect for a `duration` up to 0.5 s.
             wait: See `Motions`.
         """
         seconds = check_wait(wait)
@@ -305,7 +307,7 @@ class Motions(StrictAttributes):
             xd: Speed of the tool in m/s, and rotation about the three axes in rad/s, shape (6,).
             acceleration: Acceleration in m/s².
             duration: Time until the arm brakes, in seconds.
-            link: See `follow`. The link has no effect for a `duration` up to 0.5 s.
+            link: See `follow`. Without limits of the session, it has no effect for a `duration` up to 0.5 s.
             wait: See `Motions`.
         """
         seconds = check_wait(wait)
@@ -681,7 +683,8 @@ class Motions(StrictAttributes):
             selection: Six values of 0 or 1, for x, y, z, rx, ry, rz. The arm yields along the axes with the value 1.
             wrench: Forces and torques that the tool exerts on the object, shape (6,), in N and Nm.
             limits: Largest speeds along axes that yield, in m/s and rad/s, and largest deviations along the other axes,
-                in m and rad; shape (6,). The controller enforces these limits.
+                in m and rad; shape (6,). The controller enforces these limits. If the session limits the speed of the
+                tool, urlink lowers the speeds to it.
             kind: Rotation of the frame, 1 to 3. With 1, the y axis of the frame points from the tool to the origin of
                 the frame. With 2, the frame is not turned. With 3, the x axis of the frame is the direction of the
                 motion in the x-y plane.
@@ -937,9 +940,9 @@ class Motions(StrictAttributes):
         limited.check_inside()
         seconds = max(duration - RAMP, limited.cycle)
         if name == "speed_linear":
-            limited.check_tool_speed(speeds, acceleration, seconds, delays=(0.0,))
+            limited.check_tool_speed(speeds, acceleration, seconds)
         else:
-            limited.check_joint_speed(speeds, acceleration, seconds, delays=(0.0,))
+            limited.check_joint_speed(speeds, acceleration, seconds)
 
     def _limited(self, kind: str) -> LimitedArm | None:
         """Return the arm of a session with limits, at rest in its box; None if the session has no limits.

@@ -38,6 +38,8 @@ _REST = np.zeros(6)
 #: Longest time in s for which an arm may continue at a speed without a message from this computer. A speed with a
 #: duration up to this time is sent as one program. For a longer duration, this time is the watchdog.
 UNLED = 0.5
+#: Watchdog of a speed in a session with limits, in s. Chosen: the default of `Motions.jog`.
+_WATCHED = 0.2
 
 
 def in_base(speeds: FloatArray, state: RealtimeState) -> FloatArray:
@@ -234,8 +236,9 @@ class _Holding(LinkDialogue):
 class HeldSpeed(Motion):
     """Motion at one speed over a link: for a duration longer than `UNLED`, or in a session with limits.
 
-    The robot brakes on its own if it has received no message from this computer for `UNLED` seconds. If the arm comes
-    too close to a limit of the session, it brakes, and the motion ends with `LimitExceeded`.
+    The robot brakes on its own if it has received no message from this computer for `UNLED` seconds, or for `_WATCHED`
+    seconds in a session with limits. If the arm comes too close to a limit of the session, it brakes, and the motion
+    ends with `LimitExceeded`.
 
     Args:
         context: The robot.
@@ -258,7 +261,8 @@ class HeldSpeed(Motion):
         firmware = context.who.identity.firmware
         limited = context.limited()
         watch = None if limited is None else SpeedWatch(limited, acceleration, is_tool=is_tool)
-        write = partial(jogging, firmware, is_tool=is_tool, acceleration=acceleration, watchdog=UNLED)
+        watchdog = UNLED if watch is None else _WATCHED
+        write = partial(jogging, firmware, is_tool=is_tool, acceleration=acceleration, watchdog=watchdog)
         self._acceleration = acceleration
         self._dialogue = _Holding(context.section.lock, write, speeds, duration, watch)
         life = context.programs.life(name)

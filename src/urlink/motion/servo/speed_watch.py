@@ -36,10 +36,10 @@ class SpeedWatch:
             LimitExceeded: If the arm could then no longer come to rest within the limits.
         """
         limited = self._limited
-        limited.q, limited.qd, limited.is_moving = state.q_target, state.qd_target, True
+        limited.q, limited.qd = state.q_target, state.qd_target
         # The message after the next state takes effect after this time.
         seconds = AHEAD * limited.cycle
         if self._is_tool:
             limited.check_tool_stop(speeds, self._acceleration, seconds)
         else:
-            limited.check_joint_speed(speeds, self._acceleration, seconds, delays=(0.0,))
+            limited.check_joint_speed(speeds, self._acceleration, seconds)
