@@ -332,6 +332,17 @@ def test_group_compares_the_trajectory_of_each_arm() -> None:
         group.move_joints([at(0, 0, 0, 0, 0, 0.2), q], speed=0.2).wait(TIMEOUT)
 
 
+def test_until_contact_counts_the_start_of_its_program() -> None:
+    with limited("sim://ur5e?firmware=5.11") as robot:
+        # Without the start of the program, the tool would come to rest 5 mm below the face, and with it 6 mm above.
+        speed, acceleration = 0.2, 0.5
+        distance = BOX[1][2] - pose(robot)[2] - speed**2 / acceleration - 0.01
+        with pytest.raises(LimitExceeded, match="z = "):
+            robot.motion.until_contact([0, 0, 1], speed, acceleration=acceleration, distance=distance)
+        robot.motion.until_contact([0, 0, 1], speed, acceleration=acceleration, distance=distance - 0.01)
+        robot.motion.stop(wait=TIMEOUT)
+
+
 def test_follow_stays_below_limit_after_sudden_acceleration() -> None:
     # Wrist 3 turns at 0.97 rad/s after 0.1 s, and the limit is 1 rad/s. An arm that falls behind would be faster.
     times = np.array([0.0, 0.1, 1.1, 1.2])
