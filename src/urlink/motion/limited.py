@@ -384,7 +384,7 @@ class LimitedArm:
         # The program moves for the first two times if nothing is touched (`urlink.script.force_control.until_contact`).
         # Its start stretches the motion by `RAMP`. If the speed is reached sooner, the tool is slower meanwhile, so the
         # distance grows by less. In the simulator, the program ends up to one cycle later.
-        seconds = distance / speed + speed / acceleration + min(RAMP, 0.5 * speed / acceleration) + 2.0 * self.cycle
+        seconds = distance / speed + speed / acceleration + min(RAMP, 0.5 * speed / acceleration) + self.cycle
         xd = np.concatenate([speed * direction, np.zeros(3)])
         self.check_tool_speed(xd, acceleration, seconds)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -252,6 +253,11 @@ def test_force_mode_is_as_slow_as_the_session() -> None:
         assert 0.04 < fastest.tool < 0.05
 
 
+def is_near(q: FloatArray, state: urlink.packets.RealtimeState) -> bool:
+    """Whether the arm is near these positions of the joints."""
+    return bool(np.abs(state.q_actual - q).max() < 0.05)
+
+
 def test_impedance_is_as_slow_as_the_session() -> None:
     with limited("sim://ur5e?firmware=5.25", allowed=KINDS, joint_speed=0.3) as robot:
         fastest = Fastest(robot)
@@ -259,7 +265,7 @@ def test_impedance_is_as_slow_as_the_session() -> None:
             # The base would move the tool at more than 0.25 m/s.
             for q in (at(0, 0, 0, 0, 0, 0.6), at(0.3, 0, 0, 0, 0, 0.6), READY):
                 soft.send(q)
-                robot.realtime.wait_until(lambda state, q=q: bool(np.abs(state.q_actual - q).max() < 0.05), TIMEOUT)
+                robot.realtime.wait_until(partial(is_near, q), TIMEOUT)
             with pytest.raises(LimitExceeded, match="box"):
                 soft.send(at(1.2, 0, 0, 0, 0, 0))
         assert 0.1 < fastest.tool < 0.25
@@ -270,8 +276,9 @@ def test_jog_brakes_at_the_box_and_moves_back() -> None:
     with limited() as robot, robot.motion.jog("base", timeout=60.0) as jog:
         jog.move([0, 0, 0.1, 0, 0, 0])
         robot.realtime.wait_until(lambda state: jog.limit is not None and not state.qd_target.any(), TIMEOUT)
-        assert jog.limit is not None
-        assert jog.limit.limit == "box"
+        reached = jog.limit
+        assert reached is not None
+        assert reached.limit == "box"
         z = float(robot.realtime.wait().tool_vector_actual[2])
         # The watch brakes as late as it can: the arm rests less than 1 cm below the face.
         assert BOX[1][2] - 0.01 < z < BOX[1][2]
