@@ -138,7 +138,7 @@ def _frequency(text: str, value: str | None, firmware: Firmware | None) -> int |
     """Return the frequency of a simulated controller, in Hz. If the firmware is unknown, its frequency is unknown."""
     if value is None:
         return None
-    if not (value.isascii() and value.isdecimal() and int(value) in FREQUENCIES):
+    if value not in map(str, FREQUENCIES):
         raise BadAddress(f"{text!r}: frequency={value!r}; expected one of {', '.join(map(str, FREQUENCIES))} Hz")
     if firmware is not None:
         try:
