@@ -46,6 +46,14 @@ class Deferred:
         raise NotImplementedError
 
 
+class SteadyBytes(bytes):
+    """Bytes of one whole packet that differs from the previous packet of its connection only in its time."""
+
+    __slots__ = ()
+
+    is_steady = True
+
+
 D = TypeVar("D", bound=Deferred)
 
 
@@ -57,15 +65,20 @@ class DeferredBatch(Deferred, Generic[D]):
     Args:
         packets: Packets in the order of sending, at least one. The sequence might make a packet when it is accessed.
         ages: Time from the arrival of each packet to the arrival of the last one, in s.
+
+    Attributes:
+        packets, ages: See the arguments.
+        first, last: First and last packet.
     """
 
-    __slots__ = ("_size", "ages", "packets")
+    __slots__ = ("_size", "ages", "first", "last", "packets")
 
     def __init__(self, packets: Sequence[D], ages: Sequence[float]) -> None:
-        super().__init__(packets[0].head + packets[-1].head, is_steady=True)
+        self.first, self.last = packets[0], packets[-1]
+        super().__init__(self.first.head + self.last.head, is_steady=True)
         self.packets = packets
         self.ages = ages
-        self._size = len(packets) * len(packets[0])
+        self._size = len(packets) * len(self.first)
 
     def __len__(self) -> int:
         return self._size

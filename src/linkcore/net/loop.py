@@ -168,6 +168,18 @@ class Connection:
         else:
             self._watch()
 
+    def write_steady(self, packet: Deferred) -> bool:
+        """Send a steady packet, and let simulated time pass until it arrives.
+
+        Return False, and send nothing, if something else could happen before that, and always in real time.
+        """
+        if not self._sends_deferred or self._pending or not self.is_open or self._is_deaf:
+            return False
+        if not self._socket.send_steady(packet):  # type: ignore[attr-defined]  # it is a simulated socket
+            return False
+        self.last_activity = self._loop.time()
+        return True
+
     @property
     def quiet_time(self) -> float:
         """Time in s for which `write_batch` may send packets at once; always 0 in real time."""

@@ -34,7 +34,7 @@ from typing import Any, Protocol
 
 from .. import clock
 from ..clock import Stamp
-from ..deferred import Deferred
+from ..deferred import Deferred, SteadyBytes
 from ..errors import ConnectFailed, ConnectionLost, LinkError, LinkTimeout, LocalError, RemoteError, unraised
 from ..pending_call import check_wanted, interruptible
 from ..process import HomeProcess
@@ -195,7 +195,9 @@ class TcpTransport:
         _connections.add(self)
 
     def accept_deferred(
-        self, takes_batches: Callable[[], bool], take_in_place: Callable[[Deferred], tuple[bool, float | None]]
+        self,
+        takes_batches: Callable[[], bool],
+        take_in_place: Callable[[Deferred | SteadyBytes], tuple[bool, float | None]],
     ) -> None:
         """Let `receive` return packets whose bytes are not made yet. Call it only if `delivers_deferred` is true.
 

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
-from ..deferred import Deferred, DeferredBatch
+from ..deferred import Deferred, DeferredBatch, SteadyBytes
 from .scheduler import Check, Scheduler, Task
 
 #: Size of a kernel's buffer for one direction of a connection, at each end, in bytes.
@@ -55,7 +55,7 @@ class Watcher(Protocol):
     def changed(self) -> None:
         """Check again whether there is something to read, or room to write."""
 
-    def pass_on(self, data: Deferred) -> bool:
+    def pass_on(self, data: Deferred | SteadyBytes) -> bool:
         """Pass arrived data to the program without a change of threads; return False if this is not possible now."""
 
 
@@ -299,6 +299,26 @@ class End:
         scheduler.note(batch.head)
         self._send(batch, len(batch))
 
+    def pass_on(self, packet: Deferred) -> bool:
+        """Send a steady packet, and let time pass until it arrives.
+
+        Return False, and send nothing, if anything else could happen before that. The function replaces the events of
+        sending, arrival and acknowledgement. It is for a call of `Scheduler.call_at` that does nothing else afterwards.
+        """
+        peer, size = self.peer, len(packet)
+        if peer is None or self.quiet_time <= 0.0 or peer.is_closing or len(peer.received) + size > BUFFER:
+            return False
+        route, scheduler = self.network.route(self.computer, peer.computer), self.network.scheduler
+        takes = route.latency + route.jitter * scheduler.random.random() + size / route.bandwidth
+        scheduler.note(packet.head)
+        scheduler.now = self._arrives = max(scheduler.now + takes, self._arrives)
+        self._sent = self._acknowledged = self._delivered = self._sent + size
+        owner = peer.owner
+        if peer.received or owner is None or not owner.pass_on(packet):
+            peer.received.put(packet)
+            peer._changed()
+        return True
+
     @property
     def quiet_time(self) -> float:
         """Time in s during which packets can be sent so that they arrive before anything else happens."""
@@ -387,7 +407,12 @@ class End:
         self._delivered += len(data) or 1
         if data and not peer.is_closing:
             owner = peer.owner
-            if isinstance(data, Deferred) and not peer.received and owner is not None and owner.pass_on(data):
+            if (
+                isinstance(data, (Deferred, SteadyBytes))
+                and not peer.received
+                and owner is not None
+                and owner.pass_on(data)
+            ):
                 self._acknowledge()
                 return
             peer.received.put(data)

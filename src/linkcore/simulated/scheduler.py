@@ -281,12 +281,12 @@ class Scheduler:
         not depend on `threading.current_thread`, which is the thread that would have waited otherwise.
         """
         self.trace = zlib.crc32(_CHOICE.pack(task.number, self.now), self.trace)
-        running, ident = self.running, self.ident
+        before = self.running, self.ident, self._stands_in
         self.running, self.ident, self._stands_in = task, get_ident(), True
         try:
             return call()
         finally:
-            self.running, self.ident, self._stands_in = running, ident, False
+            self.running, self.ident, self._stands_in = before
 
     @property
     def is_idle(self) -> bool:

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, cast
 
-from ..deferred import Deferred
+from ..deferred import Deferred, SteadyBytes
 from .network import BUFFER, Computer, End, Listener, Network
 from .scheduler import Scheduler, Task, current
 
@@ -99,7 +99,7 @@ class Socket(Pollable):
         self.takes_batches: Callable[[], bool] = _never
         #: Function that takes a steady packet in place of the thread that waits for data. It must not wait. It returns
         #: whether it has taken the packet, and the seconds that the thread waits for the next data; None for no limit.
-        self.take_in_place: Callable[[Deferred], tuple[bool, float | None]] = _takes_nothing
+        self.take_in_place: Callable[[Deferred | SteadyBytes], tuple[bool, float | None]] = _takes_nothing
         # Thread that waits in `recv_deferred`, and the end of its wait.
         self._reader: Task | None = None
         self._until: float | None = None
@@ -254,7 +254,7 @@ class Socket(Pollable):
             self._reader = None
         return given if given or not end.received else end.received.take_deferred(size)
 
-    def pass_on(self, data: Deferred) -> bool:
+    def pass_on(self, data: Deferred | SteadyBytes) -> bool:
         """Pass an arrived packet to the program in place of the thread that waits for it, without a change of threads.
 
         Return False if no thread waits, or the program cannot take the packet in this way.
@@ -308,7 +308,7 @@ class Socket(Pollable):
     def send(self, data: Any, flags: int = 0) -> int:
         end = self._connected()
         self._step()
-        if not isinstance(data, Deferred):
+        if not isinstance(data, (Deferred, SteadyBytes)):
             data = bytes(data)
         if end.is_open and not end.is_shut and not end.room:
             if flags & _DONTWAIT:
@@ -332,6 +332,11 @@ class Socket(Pollable):
         if not isinstance(peer, Socket) or not peer.takes_batches() or self._computer.rate != 1.0:
             return 0.0
         return max(end.quiet_time, 0.0)
+
+    def send_steady(self, packet: Deferred) -> bool:
+        """Send a steady packet, and let time pass until it arrives; see `End.pass_on`."""
+        end = self._end
+        return end is not None and end.pass_on(packet)
 
     def send_batch(self, packets: Sequence[Deferred], delays: Sequence[float]) -> None:
         """Send steady packets, each after a delay in s from now; see `DeferredBatch`."""
@@ -479,7 +484,7 @@ def _never() -> bool:
     return False
 
 
-def _takes_nothing(data: Deferred) -> tuple[bool, float | None]:
+def _takes_nothing(data: Deferred | SteadyBytes) -> tuple[bool, float | None]:
     return False, None
 
 

@@ -350,14 +350,17 @@ class Connection:
         deadline: float | None = None,
         on_deadline: Callable[[float], object] | None = None,
         only_changes: Callable[[], bool] = never,
+        on_steady: Callable[[Any], object] | None = None,
         owner: object = None,
     ) -> Subscription:
         """Subscribe a callback that the reader calls.
 
         Args:
             kind, callback, deadline, on_deadline, owner: See `Feed.subscribe`.
-            only_changes: Function that returns whether the callback currently needs only the last of several steady
-                packets, because it looks only at modes and signals; see `linkcore.deferred.DeferredBatch`.
+            only_changes: Function that returns whether the callback currently needs no steady packets, because it looks
+                only at modes and signals; see `linkcore.deferred.Deferred.is_steady`.
+            on_steady: Function that is called with the last of several steady packets if the callback does not need
+                them. It must be quick, and must not raise an exception.
 
         Raises:
             RemoteError, LocalError, Closed: See `start`.
@@ -367,6 +370,7 @@ class Connection:
             self.counters,
             self.reads_here,
             only_changes=only_changes,
+            on_steady=on_steady,
             **self._options(kind, deadline, on_deadline),
         )
         self._join(delivery, kind)
@@ -408,9 +412,8 @@ class Connection:
         self._settle()
         if getattr(self._transport, "delivers_deferred", False):
             receiver = DeferredReceiver(self.name, protocol, self.counters, self.flight)
-            if receiver.takes_deferred:
-                take: Any = partial(self._take_in_place, receiver)
-                self._transport.accept_deferred(self.fan_out.takes_batches, take)  # type: ignore[attr-defined]
+            take: Any = partial(self._take_in_place, receiver)
+            self._transport.accept_deferred(self.fan_out.takes_batches, take)  # type: ignore[attr-defined]
             return receiver
         return Receiver(self.name, protocol, self.counters, self.flight)
 
@@ -465,15 +468,21 @@ class Connection:
         else:
             silence.no_packet(stamp[0])
 
-    def _take_in_place(self, receiver: Receiver, data: Any) -> tuple[bool, float | None]:
+    def _take_in_place(self, receiver: DeferredReceiver, data: Any) -> tuple[bool, float | None]:
         """Publish a steady packet of a simulated connection in place of the reader, which waits for it.
 
         Return whether the packet was published, and the seconds that the reader waits for the next data.
         """
-        if not self.fan_out.takes_at_once():
+        fan_out, silence = self.fan_out, self.silence
+        if not (fan_out.takes_at_once() and receiver.is_next(data)):
             return False, None
-        self._take(receiver, data, Stamp.now())
-        return True, self.silence.wait
+        stamp = Stamp.now()
+        packets = receiver.feed(data, stamp)
+        silence.last = stamp[0]
+        if silence.is_quiet:
+            silence.end(stamp[0])
+        fan_out.publish_steady(packets)
+        return True, silence.wait
 
     def _disconnected(self, error: Exception | None) -> None:
         self._transport.abort()

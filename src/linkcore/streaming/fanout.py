@@ -11,7 +11,6 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 from ..clock import Stamp
 from .connection_life import Chunk, ConnectionEvent, Traffic
-from .receiver import SteadyPackets
 from .subscription import Delivery
 
 #: Makes a NamedTuple without its own `__new__`, which would be a call of Python code for each packet.
@@ -37,10 +36,10 @@ class Sink(Protocol):
         """Accept packets."""
 
     def offer_steady(self, packets: Sequence[Any]) -> None:
-        """Accept several packets that differ only in time and in measured or computed values."""
+        """Accept packets that differ from their predecessor only in time and in measured or computed values."""
 
     def only_changes(self) -> bool:
-        """Whether the sink currently needs only the last of such packets."""
+        """Whether the sink currently needs no such packets."""
 
     def end(self) -> None:
         """Accept no more packets; queued packets are still delivered."""
@@ -125,10 +124,6 @@ class FanOut:
             for offer in every:
                 offer(packets)
             return
-        if isinstance(packets, SteadyPackets):
-            for sink in self._steady:
-                sink.offer_steady(packets)
-            return
         if len(callbacks) < 2:
             for offer in every:
                 offer(packets)
@@ -139,13 +134,22 @@ class FanOut:
             for offer in callbacks:
                 offer((packet,))
 
+    def publish_steady(self, packets: Sequence[Any]) -> None:
+        """Publish steady packets, in order. `takes_at_once` has returned True."""
+        if self._parts is None:
+            self._last = packets[-1]
+        else:
+            self._remember(packets[-1])
+        for sink in self._steady:
+            sink.offer_steady(packets)
+
     def takes_batches(self) -> bool:
         """Whether no sink needs each of several steady packets at the time of its arrival."""
         return not self.taps and self._parts is None and all(sink.only_changes() for sink in self._steady)
 
     def takes_at_once(self) -> bool:
         """Whether no sink makes the reader wait, or calls a function of the user, for a steady packet."""
-        if self.taps or self._parts is not None:
+        if self.taps:
             return False
         return all(not sink.makes_reader_wait and (not sink.is_inline or sink.only_changes()) for sink in self._steady)
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from ..clock import Stamp
-from ..deferred import Deferred, DeferredBatch
+from ..deferred import Deferred, DeferredBatch, SteadyBytes
 from ..errors import PacketError
 from ..text import printable
 from ..wire.deferred_packet import DeferredPacket
@@ -137,6 +137,7 @@ class SteadyPackets(Sequence[Any]):
     def __init__(self, batch: DeferredBatch[DeferredPacket], stamp: Stamp) -> None:
         self._batch = batch
         self._stamp = stamp
+        self._last: Any = None
 
     def __len__(self) -> int:
         return len(self._batch.packets)
@@ -144,6 +145,10 @@ class SteadyPackets(Sequence[Any]):
     def __getitem__(self, at: Any) -> Any:
         if isinstance(at, slice):
             return [self[each] for each in range(len(self))[at]]
+        if at == -1:
+            if self._last is None:
+                self._last = self._batch.last.state(self._stamp)
+            return self._last
         age, (monotonic, wall) = self._batch.ages[at], self._stamp
         return self._batch.packets[at].state(Stamp(monotonic - age, wall - age))
 
@@ -159,14 +164,16 @@ class DeferredReceiver(Receiver):
         take = None if self._strictly is not None else getattr(self._protocol, "take_deferred", None)
         self._take: Callable[[DeferredPacket, Stamp], Any] | None = take
 
-    @property
-    def takes_deferred(self) -> bool:
-        """Whether the protocol can find the state of a packet without its bytes."""
-        return self._take is not None
+    def is_next(self, data: Deferred | SteadyBytes) -> bool:
+        """Whether a packet directly follows the last one of this connection. Otherwise it might not be steady."""
+        if isinstance(data, SteadyBytes):
+            return not self.rest  # its predecessor is the previous packet of this connection
+        cycles = self._protocol.cycles
+        return cycles is not None and 0.0 < cycles.time(data.head)[0] - cycles.last <= cycles.at_most
 
     def feed(self, data: bytes | Deferred, stamp: Stamp) -> Sequence[Any]:
         """See `Receiver.feed`."""
-        first = data.packets[0] if isinstance(data, DeferredBatch) else data
+        first = data.first if isinstance(data, DeferredBatch) else data
         if self._take is None or not isinstance(first, DeferredPacket):
             return super().feed(bytes(data), stamp)
         state = self._take(first, stamp)
@@ -186,7 +193,7 @@ class DeferredReceiver(Receiver):
         if isinstance(data, DeferredBatch):
             packets = SteadyPackets(data, stamp)
             if cycles is not None:
-                cycles.last = cycles.time(data.packets[-1].head)[0]
+                cycles.last = cycles.time(data.last.head)[0]
         now = counters.arrived = stamp[0]
         if now >= counters.due:
             counters.look(now, cycles)

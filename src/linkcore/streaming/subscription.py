@@ -251,8 +251,8 @@ class InlineDelivery(Delivery):
         callback: See `Delivery`.
         counters: Counters of the stream, which include the slow calls.
         reads_here: Function that returns whether the current thread is the reader.
-        only_changes: Function that returns whether the callback currently needs only the last of several steady
-            packets.
+        only_changes: Function that returns whether the callback currently needs no steady packets.
+        on_steady: Function that is called with the last of several steady packets if the callback does not need them.
 
     Attributes:
         offered: Number of packets that were offered.
@@ -272,10 +272,12 @@ class InlineDelivery(Delivery):
         counters: StreamCounters,
         reads_here: Callable[[], bool],
         only_changes: Callable[[], bool] = never,
+        on_steady: Callable[[Any], object] | None = None,
         **options: Any,
     ) -> None:
         super().__init__(callback, **options)
         self.only_changes = only_changes
+        self._on_steady = on_steady
         self._counters = counters
         self.offered = 0
         # The reader sets its flag, and then checks whether this is closed. A thread that closes marks it closed, and
@@ -323,15 +325,16 @@ class InlineDelivery(Delivery):
             self._last = clock.now()
 
     def offer_steady(self, packets: Sequence[Any]) -> None:
-        """Call back with the last packet, or with each packet if the callback needs them.
+        """Count packets that the callback does not need, because `only_changes` has just returned True.
 
-        Packets without a call count as delivered, because the last one shows the same to the callback.
+        They count as delivered, because the callback would see nothing new in them.
         """
-        if self.only_changes() and not self._is_closed:
-            self.offered += len(packets) - 1
-            self._delivered += len(packets) - 1
-            packets = packets[-1:]
-        self.offer(packets)
+        if self._is_closed:
+            return
+        self.offered += len(packets)
+        self._delivered += len(packets)
+        if self._on_steady is not None:
+            self._on_steady(packets[-1])
 
     def end(self) -> None:
         """Accept no more packets. Idempotent."""

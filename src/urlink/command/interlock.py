@@ -120,6 +120,17 @@ class Interlock:
         known.status, known.reported_at, known.absence = status.over(known.status), at, None
         return self._look()
 
+    @property
+    def is_clear(self) -> bool:
+        """Whether no report closes the interlock. The age of the reports, and `enable()`, do not matter."""
+        return self._was_clear
+
+    def renew(self, source: str, at: float) -> None:
+        """Record that a source reports the same at time `at` as before, while `is_clear` is True."""
+        known = self._sources.get(source)
+        if known is not None:
+            known.reported_at = at
+
     def amend(self, source: str, status: Status, at: float) -> LinkError | None:
         """Record a part of a report; see `report`. It has no effect before a complete report was received."""
         known = self._sources.get(source)

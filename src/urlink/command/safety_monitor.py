@@ -268,7 +268,10 @@ class SafetyMonitor:
             listening.add(connection.silence.watch(seconds, partial(self._fall_silent, name)))
             on_event = partial(self._on_event, name, listening)
             listening.add(connection.subscribe_inline(ConnectionEvent, on_event).close)
-            listening.add(connection.subscribe_inline(kind, on_state, only_changes=self._needs_only_changes).close)
+            subscription = connection.subscribe_inline(
+                kind, on_state, only_changes=self._needs_only_changes, on_steady=partial(self._renew, name)
+            )
+            listening.add(subscription.close)
         except BaseException:
             listening.end()
             with self._section.lock:
@@ -319,9 +322,13 @@ class SafetyMonitor:
         self._observe(lambda: self._interlock.report("realtime", status, self._came(state)))
 
     def _needs_only_changes(self) -> bool:
-        """Whether a state that shows the same modes as the previous one changes nothing."""
+        """Whether a state that shows the same modes as the previous one changes nothing except the time."""
         is_settled = self.flight is None or self.flight.unsettled is None
-        return is_settled and not self._waiting and not self._section.is_held
+        return is_settled and self._interlock.is_clear and not self._waiting and not self._section.is_held
+
+    def _renew(self, name: str, state: State) -> None:
+        """Record the time of a state that shows the same modes as the previous one."""
+        self._interlock.renew(name, self._came(state))
 
     def _came(self, packet: State) -> float:
         return packet.received.monotonic if packet.received is not None else self.clock()

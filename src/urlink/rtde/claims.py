@@ -184,15 +184,18 @@ class BriefClaims:
         claims = self._connect(Requests(("timestamp",), _HEARTBEAT, inputs=[names]))
         connection = claims.connection
 
+        def is_held() -> bool:
+            return clock.now() - self._used <= HOLD
+
         def look(state: Outputs) -> None:
-            if clock.now() - self._used > HOLD:
+            if not is_held():
                 self.give_back()
 
         self._standing = claims  # before connecting, so that closing the robot also ends the attempt
         try:
             if self._is_closed:
                 raise Closed(f"{connection.name} was closed")
-            connection.subscribe_inline(Outputs, look)
+            connection.subscribe_inline(Outputs, look, only_changes=is_held)
         except BaseException:
             self.abort()  # in a delayed process, the connection might still be established
             raise

@@ -21,6 +21,8 @@ from linkcore.threads import started
 from . import messages
 from .faults import FaultSchedule
 from .programs.runner import ProgramRunner
+from .robot.sensors import SampleAt, Samples
+from .robot.setpoint_sources import Course
 from .robot.surroundings import Plane, Spring
 from .state import ControllerState
 
@@ -65,20 +67,30 @@ class ControlLoop:
         """Whether the next cycles depend only on the state of the controller, so that they can be executed early."""
         return self._state.is_up and self._state.surroundings.is_empty and self._runner.is_self_contained
 
-    @property
-    def is_unchanging(self) -> bool:
-        """Whether only the time changes in the next cycles, until a client, a test or a fault changes something."""
-        state = self._state
-        return state.is_up and state.modes.is_unchanging and state.arm.is_unchanging and self._runner.is_unchanging
+    def follow(self, cycles: int) -> Samples | None:
+        """Execute several cycles at once, at most `cycles`, if only the time and the set-points change in them.
 
-    def rest(self, cycles: int) -> list[float]:
-        """Execute some cycles in which only the time changes; see `is_unchanging`.
-
-        Return the time of the arm, in s, at the beginning and after each cycle.
+        Call it directly after a cycle. Return the sensors of that cycle and of the executed ones; None if the next
+        cycles must be executed one by one.
         """
-        self._state.cycle += cycles
-        self._state.uptime += cycles
-        return self._state.arm.rest(cycles, self._state.period)
+        state, arm, period = self._state, self._state.arm, self._state.period
+        if not (state.is_up and state.modes.is_unchanging):
+            return None
+        first = arm.sample
+        if arm.is_unchanging and self._runner.is_unchanging:
+            samples = Samples(first, Course(arm.setpoint), arm.follow(Course(arm.setpoint), cycles, period))
+        else:
+            program = self._runner.moving_program if arm.is_gliding else None
+            then = None if program is None else program.course(cycles, period)
+            if program is None or then is None or not then.size:
+                return None
+            cycles = then.shape[1]
+            course = Course(arm.setpoint, then)
+            samples = Samples(first, course, arm.follow(course, cycles, period))
+            program.follow(cycles, period, course[cycles], [SampleAt(samples, at) for at in range(cycles)])
+        state.cycle += cycles
+        state.uptime += cycles
+        return samples
 
     def next_fault(self) -> int | None:
         """Return the cycle of the next scheduled fault; None if there is none."""

@@ -98,6 +98,8 @@ class Watchdogs:
 
     def expired(self, now: int) -> Action | None:
         """Return the action for late variables; None if no variable is late. "stop" takes precedence over "pause"."""
+        if not self._dogs:
+            return None
         late = {dog.action for dog in self._dogs.values() if now - dog.fed > dog.cycles}
         return "stop" if "stop" in late else "pause" if "pause" in late else None
 

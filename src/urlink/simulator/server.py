@@ -247,11 +247,44 @@ class Server:
         is_due = fault is not None and fault <= now + 1
         if self._is_closing or self._loader.is_busy or is_due or self._control.calls_users:
             return None
-        self._run_ahead()
+        client = None if self._is_held or self._link.is_any_stalled else self._only_client
+        if client is not None:
+            self._run_ahead(client)
+            if self._state.cycle == now - 1 and self._pass_on(client):
+                return self._epoch + (now + 1 - self._first) / self._rate
         self.catch_up()
         return self._due()
 
-    def _run_ahead(self) -> None:
+    @property
+    def _only_client(self) -> Connection | None:
+        """Connection of the only client of the real-time interface; None without one, or if its link has faults."""
+        clients = self._clients.get("realtime", ())
+        if len(clients) != 1 or self._clients.get("realtime_readonly") or clients[0].segmenter is not None:
+            return None
+        return clients[0].connection
+
+    def _pass_on(self, client: Connection) -> bool:
+        """Execute the cycle that is due, and let its real-time packet arrive; return False if it could not arrive yet.
+
+        This is possible in simulated time if only this packet is sent, and nothing else happens before its arrival.
+        """
+        state = self._state
+        cycle = state.cycle
+        if not state.is_up:
+            return False
+        for kind in self._watched:
+            if kind != "realtime" and self._interfaces[kind].next_cycle(cycle) == cycle + 1:
+                return False
+        self._control.advance()
+        packet = self._interfaces["realtime"].steady_packet()
+        if packet is None or not state.outbox.is_empty or not client.write_steady(packet):
+            self._emit(state.cycle)
+            return False
+        self.counters.sent += 1
+        self._settle()
+        return True
+
+    def _run_ahead(self, client: Connection) -> None:
         """Execute cycles before they are due, and send their real-time packets at once.
 
         This is possible in simulated time while nothing else can happen, the programs use nothing outside of the
@@ -260,16 +293,8 @@ class Server:
         executed too, but its packets are sent when the cycle is due.
         """
         state, control = self._state, self._control
-        clients = self._clients.get("realtime", ())
-        if (
-            self._is_held
-            or len(clients) != 1
-            or self._clients.get("realtime_readonly")
-            or clients[0].segmenter is not None
-        ):
-            return
-        quiet = clients[0].connection.quiet_time
-        if quiet * self._rate < 2.0 or not control.is_self_contained or self._link.is_any_stalled:
+        quiet = client.quiet_time
+        if quiet * self._rate < 2.0 or not control.is_self_contained:
             return
         now = self._clock()
         begin = state.cycle
@@ -283,13 +308,14 @@ class Server:
             packet = realtime.steady_packet()
             if packet is None or not state.outbox.is_empty:
                 self._is_held = True
-            elif not packets and control.is_unchanging:
-                packets = realtime.rest_packets(control.rest(last - state.cycle))
+            elif not packets and (samples := control.follow(last - state.cycle)) is not None:
+                packets = realtime.later_packets(samples)
+                break
             else:
                 packets = [*packets, packet]
         if packets:
             due = [self._epoch + (begin + 1 + at - self._first) / self._rate for at in range(len(packets))]
-            clients[0].connection.write_batch(packets, [max(each - now, 0.0) for each in due])
+            client.write_batch(packets, [max(each - now, 0.0) for each in due])
             self.counters.sent += len(packets)
 
     def _due(self) -> float | None:

@@ -81,11 +81,18 @@ class RtdeTransport:
         self.wait_for_room = transport.wait_for_room
         self.abort = transport.abort
         self.close = transport.close
+        # Only a TCP connection can be simulated.
+        self.accept_deferred = getattr(transport, "accept_deferred", None)
 
     @property
     def round_trip(self) -> float:
         """See `Transport.round_trip`."""
         return self._transport.round_trip
+
+    @property
+    def delivers_deferred(self) -> bool:
+        """See `linkcore.net.transport.TcpTransport`."""
+        return getattr(self._transport, "delivers_deferred", False)
 
     def open(self, timeout: float) -> None:
         """Connect, send the requests of the plan, and wait up to `timeout` seconds for the first data package.

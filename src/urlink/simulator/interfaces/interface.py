@@ -21,6 +21,7 @@ from linkcore.wire.layout import Layout
 from urlink.protocol.headers import PACKAGE
 
 from ..programs.loader import LineAssembler
+from ..robot.sensors import Samples
 from ..state import Counters
 
 L = TypeVar("L", bound=Layout)
@@ -151,8 +152,12 @@ class Interface(ABC):
         """Return the packet of this cycle if it is steady after the previous one; see `DeferredBatch`."""
         return None
 
-    def rest_packets(self, times: Sequence[float]) -> Sequence[Deferred]:
-        """Return the steady packets of cycles in which only the time changes; see `ControlLoop.rest`."""
+    def later_packets(self, samples: Samples) -> Sequence[Deferred]:
+        """Return the steady packets of cycles in which only the time and the targets change.
+
+        Args:
+            samples: Sensors of each cycle; see `ControlLoop.follow`.
+        """
         raise NotImplementedError
 
     def skip(self) -> None:

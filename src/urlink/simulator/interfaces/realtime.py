@@ -18,7 +18,7 @@ from urlink.protocol.firmware import Firmware
 from urlink.protocol.realtime.packets import RealtimeState
 
 from ..robot.modes import ShownModes
-from ..robot.sensors import Sample
+from ..robot.sensors import Sample, Samples
 from ..rtde_variables import MAIN_VOLTAGE, ROBOT_VOLTAGE, current_of, execution_time_of
 from ..state import ControllerState
 from .interface import Form, Interface, InterfaceClient, ScriptReceiver
@@ -62,20 +62,25 @@ class RealtimeInterface(Interface):
         is_steady = before is not None and self._shown[_STEADY] == before[_STEADY]
         return RealtimePacket(self._form, self._shown, is_steady)
 
-    def rest_packets(self, times: Sequence[float]) -> RestPackets:
-        """Return the packets of the cycle of the last packet, and of later cycles in which only the time has changed.
+    def later_packets(self, samples: Samples) -> LaterPackets:
+        """Return the packets of the cycle of the last packet, and of later cycles; see `ControlLoop.follow`.
 
         Args:
-            times: Time since the arm was switched on in each of these cycles, in s.
+            samples: Sensors of each of these cycles.
         """
         assert self._form is not None, "no packet was made"
         assert self._shown is not None, "no packet was made"
         rate = self._state.rate
-        return RestPackets(self._form, self._shown, round(self._shown.time * rate), rate, times)
+        return LaterPackets(self._form, self._shown, round(self._shown.time * rate), rate, samples)
 
     def steady_packet(self) -> RealtimePacket | None:
+        """Return the packet of this cycle if it is steady; None if `packet` must make it when it is sent."""
+        before = self._shown
         packet = self.packet()
-        return packet if packet.is_steady else None
+        if packet.is_steady:
+            return packet
+        self._shown = before
+        return None
 
 
 class Shown(NamedTuple):
@@ -127,34 +132,33 @@ def shown_by(state: ControllerState) -> Shown:
     )
 
 
-class RestPackets(Sequence["RealtimePacket"]):
-    """Packets of cycles in which only the time changes. Each packet is made when it is accessed.
+class LaterPackets(Sequence["RealtimePacket"]):
+    """Packets of cycles in which only the time and the targets change. Each packet is made when it is accessed.
 
     Args:
         form: Form of the packets.
         shown: What the packet of the first cycle shows.
         uptime: Number of the first cycle since the controller came up.
         rate: Cycles per second.
-        times: Time since the arm was switched on in each cycle, in s.
+        samples: Sensors of each cycle.
     """
 
-    def __init__(self, form: Form[StateLayout], shown: Shown, uptime: int, rate: int, times: Sequence[float]) -> None:
+    def __init__(self, form: Form[StateLayout], shown: Shown, uptime: int, rate: int, samples: Samples) -> None:
         self._form = form
         self._shown = shown
         self._uptime = uptime
         self._rate = rate
-        self._times = times
+        self._samples = samples
 
     def __len__(self) -> int:
-        return len(self._times)
+        return len(self._samples)
 
     def __getitem__(self, at: Any) -> Any:
         if isinstance(at, slice):
             return [self[each] for each in range(len(self))[at]]
         at = range(len(self))[at]
-        sample = self._shown.sample.later(at, self._times[at])
         time = (self._uptime + at) / self._rate
-        return RealtimePacket(self._form, self._shown._replace(sample=sample, time=time), is_steady=True)
+        return RealtimePacket(self._form, self._shown._replace(sample=self._samples[at], time=time), is_steady=True)
 
 
 class RealtimePacket(DeferredPacket):

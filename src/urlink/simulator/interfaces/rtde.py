@@ -33,6 +33,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from linkcore.deferred import SteadyBytes
 from linkcore.errors import PacketError
 from linkcore.wire.fields import Since
 from linkcore.wire.packet import State
@@ -167,10 +168,13 @@ class _Outputs:
     def __init__(self, recipe: Recipe, step: int) -> None:
         self.step = step
         self._form = Form(recipe.layout)
+        self._is_time = tuple(recipe.names) == ("timestamp",)
         self._values = [(key, OUTPUT_VALUES[name]) for key, name in zip(recipe.fields, recipe.names, strict=True)]
 
     def package(self, state: ControllerState) -> bytes:
-        return self._form.pack({key: value(state) for key, value in self._values})
+        package = self._form.pack({key: value(state) for key, value in self._values})
+        # In a recipe that contains only the time, nothing else can change.
+        return SteadyBytes(package) if self._is_time else package
 
 
 class RtdeSession(InterfaceReceiver):

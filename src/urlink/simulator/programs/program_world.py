@@ -148,6 +148,7 @@ class ProgramWorld:
     flags = _reads(lambda world: world._state.flags)
     registers = _reads(lambda world: world._state.registers)
     modbus = _reads(lambda world: world._state.modbus)
+    sensors = _reads(lambda world: world._state.arm.sample)
     q_actual = _reads(lambda world: world._state.arm.q_actual)
     qd_actual = _reads(lambda world: world._state.arm.qd_actual)
     q_target = _reads(lambda world: world._state.arm.setpoint.q)

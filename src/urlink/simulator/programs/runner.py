@@ -20,11 +20,13 @@ Assumptions:
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
+from ...arm.vectors import FloatArray
 from ...protocol.enums import ControlMode
 from .. import messages
 from ..robot.generator import ArmDrive, LimitViolation
+from ..robot.sensors import SampleAt
 from ..robot.setpoint_sources import Demonstration, Setpoint, SetpointSource, Still
 from ..state import ControllerState
 from ..urscript import Execution, Script
@@ -68,7 +70,8 @@ class RunningProgram:
         drive, generator, state = self._drive, self._drive.generator, self._state
         generator.speed_fraction = state.slider
         if self.is_program:
-            generator.tcp = state.arm.tcp
+            if generator.arm.tcp != (tcp := state.arm.tcp):
+                generator.tcp = tcp
             self.execution.advance()
             # If the last statement was protective_stop(), the stop must be reported before the end of the program.
             if self.execution.is_over and state.modes.may_move:
@@ -82,6 +85,30 @@ class RunningProgram:
         except LimitViolation as violation:
             state.stop_protectively(str(violation), code=violation.code)
             return drive.setpoint
+
+    def course(self, cycles: int, seconds: float) -> FloatArray | None:
+        """Return the set-points of at most this number of cycles, in which the program only waits for its motion.
+
+        Return:
+            Positions, speeds and accelerations, shape (3, n, 6); None if the set-points are only known cycle by cycle.
+        """
+        generator, state = self._drive.generator, self._state
+        if not self.is_program or not self.execution.only_awaits_motion:
+            return None
+        if generator.speed_fraction != state.slider or generator.arm.tcp != state.arm.tcp:
+            return None
+        return self._drive.course(cycles, seconds)
+
+    def follow(self, cycles: int, seconds: float, last: Setpoint, sensors: Iterable[SampleAt]) -> None:
+        """Advance by this number of cycles of `course`.
+
+        Args:
+            cycles, seconds: Number of cycles, and duration of a cycle in s.
+            last: Set-point of the last cycle.
+            sensors: Sensors before each cycle.
+        """
+        self.execution.remember(sensors)
+        self._drive.follow(cycles, seconds, last)
 
     @property
     def is_unchanging(self) -> bool:
@@ -142,16 +169,24 @@ class ProgramRunner:
         return type(self._state.source) in (RunningProgram, Still, Demonstration)
 
     @property
-    def is_unchanging(self) -> bool:
-        """Whether nothing changes in the next cycles, because no program runs and the arm is at rest."""
+    def is_steady(self) -> bool:
+        """Whether nothing changes in the next cycles, unless the source of set-points changes it."""
         state = self._state
         if self._secondary or self._waiting or self._begins_anew or state.is_paused or state.by_hand is not None:
             return False
-        if not state.modes.may_move or state.slider != state.speed_fraction or not state.watchdogs.is_empty:
-            return False
-        return type(state.source) is Still or (
-            self.main is not None and self.main is state.source and self.main.is_unchanging
-        )
+        return state.modes.may_move and state.slider == state.speed_fraction and state.watchdogs.is_empty
+
+    @property
+    def is_unchanging(self) -> bool:
+        """Whether nothing changes in the next cycles, because no program runs and the arm is at rest."""
+        source = self._state.source
+        is_at_rest = source.is_unchanging if isinstance(source, RunningProgram) else type(source) is Still
+        return is_at_rest and self.is_steady
+
+    @property
+    def moving_program(self) -> RunningProgram | None:
+        """Running program that commands the arm, while nothing else changes; None if there is none."""
+        return self.main if self.main is self._state.source and self.is_steady else None
 
     # -- beginning and ending ------------------------------------------------------------------------
 

@@ -20,7 +20,7 @@ from urlink.arm.vectors import JOINTS
 
 from .characteristics import SensorParameters
 from .sensors import Progress, Sample, Sensors
-from .setpoint_sources import BRAKING, Setpoint
+from .setpoint_sources import BRAKING, Course, Setpoint
 from .surroundings import ForceSensor, Overload, Surroundings
 
 if TYPE_CHECKING:
@@ -166,14 +166,28 @@ class SimulatedArm:
             and self.force_sensor.is_unchanging
         )
 
-    def rest(self, cycles: int, seconds: float) -> list[float]:
-        """Advance by some cycles in which the arm is at rest, and nothing changes; see `is_unchanging`.
+    @property
+    def is_gliding(self) -> bool:
+        """Whether nothing but the time and the set-points change while the same joints move."""
+        return (
+            bool(self._moving)
+            and self._is_following
+            and self._transition is None
+            and not (self.drags or any(self.deviation) or self.uses_external_force)
+            and self.force_sensor.is_unchanging
+        )
+
+    def follow(self, course: Course, cycles: int, seconds: float) -> list[float]:
+        """Advance by some cycles along a course; see `is_unchanging` and `is_gliding`.
 
         Return the time since the arm was switched on, in s, at the beginning and after each cycle.
         """
         times = list(accumulate(repeat(seconds, cycles), initial=self._time))
         self._time = times[-1]
+        self._setpoint = course[cycles]
         self._progress.cycle += cycles
+        if self._moving:
+            self._progress.moved += cycles
         self._sample = None
         return times
 
@@ -199,11 +213,12 @@ class SimulatedArm:
     @property
     def overload(self) -> Overload | None:
         """Reason for a protective stop that the sensors have detected in this cycle; None if there is none."""
-        furthest = max(self.deviation, key=abs)
-        if abs(furthest) > _DEVIATION_LIMIT and self.is_moving:
-            joint = list(self.deviation).index(furthest)
-            text = f"{JOINTS[joint]}: the position deviates from its target by {abs(furthest):.4f} rad"
-            return Overload(text, (_DEVIATES, joint))
+        if any(self.deviation):
+            furthest = max(self.deviation, key=abs)
+            if abs(furthest) > _DEVIATION_LIMIT and self.is_moving:
+                joint = list(self.deviation).index(furthest)
+                text = f"{JOINTS[joint]}: the position deviates from its target by {abs(furthest):.4f} rad"
+                return Overload(text, (_DEVIATES, joint))
         return self.force_sensor.overload
 
     def carry(self, payload: Sequence[float], seconds: float) -> None:

@@ -52,7 +52,7 @@ from .characteristics import (
     SensorParameters,
 )
 from .noise import Noise
-from .setpoint_sources import Setpoint
+from .setpoint_sources import Course, Setpoint
 
 _ZERO = [0.0] * 6
 # Channels of the noise.
@@ -172,18 +172,23 @@ class Sample:
         measure(self.sensors, self)
         return object.__getattribute__(self, name)
 
-    def later(self, cycles: int, time: float) -> Sample:
-        """Return the sample after some more cycles in which the arm is at rest, and nothing else changes.
+    def later(self, cycles: int, time: float, setpoint: Setpoint) -> Sample:
+        """Return the sample after some more cycles in which only the time and the targets change.
+
+        In all of these cycles, the same joints move, or none.
 
         Args:
             cycles: Number of cycles.
             time: Time since the arm was switched on, in s.
+            setpoint: Targets of the later cycle.
         """
         progress = self.progress.copy()
         progress.cycle += cycles
+        if any(setpoint.qd):
+            progress.moved += cycles
         return Sample(
             self.sensors,
-            self.setpoint,
+            setpoint,
             self.tcp,
             self.dynamics,
             self.external,
@@ -199,6 +204,44 @@ class Sample:
     def is_moving(self) -> bool:
         """Whether the targets move."""
         return any(self.qd_target) or any(self.qdd_target)
+
+
+class Samples:
+    """Samples of several cycles in a row, in which only the time and the targets change. Each is made when it is read.
+
+    Args:
+        first: Sample of the first cycle.
+        course: Targets of each cycle.
+        times: Time since the arm was switched on in each cycle, in s.
+    """
+
+    def __init__(self, first: Sample, course: Course, times: Sequence[float]) -> None:
+        self._first, self._course, self._times = first, course, times
+
+    def __len__(self) -> int:
+        return len(self._times)
+
+    def __getitem__(self, at: int) -> Sample:
+        return self._first.later(at, self._times[at], self._course[at]) if at else self._first
+
+
+class SampleAt:
+    """One of several samples, which is made when it is read.
+
+    Args:
+        samples: All samples.
+        at: Number of the sample, from 0.
+    """
+
+    __slots__ = ("_at", "_samples")
+
+    def __init__(self, samples: Samples, at: int) -> None:
+        self._samples, self._at = samples, at
+
+    @property
+    def q_actual(self) -> list[float]:
+        """Joint positions, shape (6,), in rad."""
+        return self._samples[self._at].q_actual
 
 
 @dataclass(slots=True, eq=False)

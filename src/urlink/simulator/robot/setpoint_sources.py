@@ -11,6 +11,7 @@ from typing import NamedTuple, Protocol
 
 from linkcore.errors import BadValue
 from urlink.arm.parameters import number
+from urlink.arm.vectors import FloatArray
 
 #: Default posture, in rad: elbow up, tool pointing down, in the middle of the workspace. The posture is far from the
 #: joint limits and from every singular posture of every model. On a UR5e or a larger arm, a circle with a radius of
@@ -35,6 +36,24 @@ class Setpoint(NamedTuple):
     q: list[float]
     qd: list[float]
     qdd: list[float]
+
+
+class Course:
+    """Set-points of several cycles in a row. Each one is made when it is read.
+
+    Args:
+        first: Set-point of the first cycle.
+        then: Positions, speeds and accelerations of the following cycles, shape (3, n, 6), in rad, rad/s and rad/s².
+            None if the arm is at rest, so that all set-points equal the first one.
+    """
+
+    def __init__(self, first: Setpoint, then: FloatArray | None = None) -> None:
+        self._first, self._then = first, then
+
+    def __getitem__(self, at: int) -> Setpoint:
+        if at == 0 or self._then is None:
+            return self._first
+        return Setpoint(*self._then[:, at - 1].tolist())
 
 
 class SetpointSource(Protocol):

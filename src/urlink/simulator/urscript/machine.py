@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import random
 from collections import deque
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass, field
 from operator import is_
 from typing import Any, Literal, NamedTuple
@@ -42,7 +42,7 @@ from .matrices import HAS_MATRICES
 from .statements import StatementQueue
 from .tokens import SourceText
 from .values import UNSET, weight
-from .world import BegunMove, ScriptWorld
+from .world import BegunMove, ScriptWorld, SensorValues
 
 Frame = list[Any]
 Instruction = Callable[[Frame], int]
@@ -277,7 +277,7 @@ class Machine:
         remote_calls: Number of calls of remote methods so far.
         random: Source of random numbers for the function `random`. The numbers are the same in every run.
         has_matrices: Whether the firmware supports arithmetic with matrices.
-        history: Joint positions of past cycles; the newest are last.
+        history: Sensors of past cycles; the newest are last.
         has_moved: Whether the program has begun any motion.
     """
 
@@ -288,11 +288,11 @@ class Machine:
         self.left = self.slice = MAX_INSTRUCTIONS
         self.spinning = self.reads = self.remote_calls = 0
         self.random = random.Random(0)
-        self.history: deque[tuple[float, ...]] = deque(maxlen=500)
+        self.history: deque[SensorValues] = deque(maxlen=500)
         self.has_moved = False
         self._owner: ScriptThread | None = None
         self._move: BegunMove | None = None
-        self._is_aborted = False
+        self._is_aborted = self._awaits_motion = False
         self.has_matrices = world.firmware in HAS_MATRICES
         self._globals: list[Any] = [UNSET] * script.n_globals
         self._work = 0
@@ -318,7 +318,7 @@ class Machine:
         self.left = MAX_INSTRUCTIONS
         self.slice = MAX_INSTRUCTIONS // len(threads)
         self.spinning = self.reads = self._work = 0
-        self.history.append(tuple(self.world.q_actual))
+        self.history.append(self.world.sensors)
         # The loop also runs new threads, because `start` appends them to this list.
         for thread in threads:
             if not thread.is_over:
@@ -360,10 +360,19 @@ class Machine:
         except OutOfReach as unreachable:
             raise Fault(str(unreachable)) from None
         yield  # even a motion to the current position takes a cycle
-        while not (move.is_over or self._is_aborted):
-            yield
+        self._awaits_motion = True
+        try:
+            while not (move.is_over or self._is_aborted):
+                yield
+        finally:
+            self._awaits_motion = False
         if self._owner is thread:
             self._owner = None
+
+    @property
+    def only_awaits_motion(self) -> bool:
+        """Whether the program does nothing until its motion has ended: it has one thread, which waits for this."""
+        return self._awaits_motion and len(self._threads) == 1 and not self._is_aborted
 
     def abort_motion(self) -> None:
         """End the motion that a thread waits for.
@@ -426,6 +435,15 @@ class Execution:
             self.stop()
         if self._machine.main.is_over:
             self.stop()
+
+    @property
+    def only_awaits_motion(self) -> bool:
+        """Whether the program does nothing until its motion has ended."""
+        return not self.is_over and self._machine.only_awaits_motion
+
+    def remember(self, sensors: Iterable[SensorValues]) -> None:
+        """Add the sensors of cycles in which the program only waited for its motion to the history."""
+        self._machine.history.extend(sensors)
 
     def stop(self) -> None:
         """End all threads, let the arm brake, and close the sockets of the program."""

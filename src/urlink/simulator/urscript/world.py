@@ -105,11 +105,20 @@ class ScriptSockets(Protocol):
         """Close all sockets."""
 
 
+class SensorValues(Protocol):
+    """Values of the sensors in one cycle. Each value is computed when it is read, even many cycles later."""
+
+    @property
+    def q_actual(self) -> Sequence[float]:
+        """Joint positions, shape (6,), in rad."""
+
+
 class ScriptWorld(Protocol):
     """Controller, as a program uses it.
 
     Attributes:
         period: Duration of a controller cycle, in s.
+        sensors: Values of the sensors in this cycle.
         q_actual, qd_actual, q_target, qd_target: Six numbers each, in rad and rad/s.
         qdd_target: Six numbers, in rad/s².
         pose_actual, pose_target: Pose of the TCP in the base frame, in m and rad.
@@ -138,6 +147,8 @@ class ScriptWorld(Protocol):
     def signals(self) -> Signals: ...
     @property
     def sockets(self) -> ScriptSockets: ...
+    @property
+    def sensors(self) -> SensorValues: ...
     @property
     def q_actual(self) -> Sequence[float]: ...
     @property

@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from urlink.arm.vectors import FloatArray
 from urlink.protocol.enums import ControlMode
 
 from ..arm import SimulatedArm
@@ -132,6 +133,15 @@ class ArmDrive:
         else:
             self.setpoint = nominal
         return self.setpoint
+
+    def course(self, cycles: int, seconds: float) -> FloatArray | None:
+        """See `MotionGenerator.course`."""
+        return None if self.yields else self.generator.course(cycles, seconds)
+
+    def follow(self, cycles: int, seconds: float, last: Setpoint) -> None:
+        """Advance by this number of cycles of `course`, to the set-point `last`."""
+        self.generator.follow(cycles, seconds, last)
+        self.setpoint = last
 
     def start(self, q: Sequence[float]) -> None:
         """Continue from rest at six joint positions, in rad, after a stop has braked the arm.

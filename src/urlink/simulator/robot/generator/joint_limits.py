@@ -12,6 +12,8 @@ from itertools import repeat
 from operator import le, mul, sub
 from typing import NamedTuple
 
+import numpy as np
+
 from linkcore.errors import BadValue
 from urlink.arm.kinematics import Arm, Unreachable
 from urlink.arm.models import Model
@@ -98,6 +100,24 @@ class JointLimits:
                 raise self._too_fast(way)
         if not (all(map(le, self._lowest, new.q)) and all(map(le, new.q, self._highest))):
             self._check_range(last, new)
+
+    def count_allowed(self, last: Setpoint, course: FloatArray, seconds: float) -> int:
+        """Return the number of set-points from the first one that `check` certainly accepts.
+
+        Args:
+            last: Set-point before them.
+            course: Positions, speeds and accelerations of moving joints, shape (3, n, 6).
+            seconds: Duration of a cycle, in s.
+        """
+        q, qd, _ = course
+        change = np.abs(np.diff(qd, axis=0, prepend=[last.qd]))
+        allowed = (
+            (np.abs(qd) <= self.allowed_speed)
+            & (change <= [limit * seconds for limit in self._hardest])
+            & (q >= self._lowest)
+            & (q <= self._highest)
+        ).all(axis=1) & qd.any(axis=1)
+        return len(allowed) if allowed.all() else int(np.argmin(allowed))
 
     def check_target(self, q: Sequence[float]) -> None:
         """Raise if target positions of the joints are out of range.

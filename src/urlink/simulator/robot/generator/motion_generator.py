@@ -151,6 +151,26 @@ class MotionGenerator:
             self.setpoint = setpoint
         return self.setpoint
 
+    def course(self, cycles: int, seconds: float) -> FloatArray | None:
+        """Return the set-points of at most this number of cycles, shape (3, n, 6), if only the path determines them.
+
+        None if they are only known cycle by cycle. They equal those of `advance`, to the last bit.
+        """
+        command = self._command
+        if self._refusal is not None or self.scaling != self.speed_fraction or not isinstance(command, PathMove):
+            return None
+        course = command.course(cycles, seconds, self.scaling)
+        if course is None:
+            return None
+        return course[:, : self._limits.count_allowed(self.setpoint, course, seconds)]
+
+    def follow(self, cycles: int, seconds: float, last: Setpoint) -> None:
+        """Advance by this number of cycles of `course`, to the set-point `last`."""
+        assert isinstance(self._command, PathMove)
+        self._command.follow(cycles, seconds, self.scaling, last)
+        self._rise = self._parameters.slider_rate
+        self.setpoint = last
+
     def _is_near_singularity(self, q: Sequence[float]) -> bool:
         """Whether a slow motion of the flange can require high joint speeds at these positions."""
         jacobian = self.arm.kinematics.jacobian(q)

@@ -11,11 +11,15 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
+from itertools import accumulate, islice, repeat
+
+import numpy as np
 
 from urlink.arm.curves import Curve
 from urlink.arm.parameters import number
+from urlink.arm.vectors import FloatArray
 
 from ..setpoint_sources import REST, Setpoint
 from .joint_limits import ArmWithTool, LimitViolation
@@ -88,6 +92,19 @@ class Trapezoid:
         cruise = max(length / peak - peak * ramps, 0.0) if peak > 0.0 else 0.0
         self._down = self._up + cruise
         self.duration = self._down + peak / acceleration
+
+    def course(self, times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the same as `at`, to the last bit, for several times before the end, shape (n,)."""
+        rises, cruises, left = times < self._up, times < self._down, self.duration - times
+        return (
+            np.where(
+                rises,
+                0.5 * self._rise * times * times,
+                np.where(cruises, self.peak * (times - 0.5 * self._up), self.length - 0.5 * self._fall * left * left),
+            ),
+            np.where(rises, self._rise * times, np.where(cruises, self.peak, self._fall * left)),
+            np.where(rises, self._rise, np.where(cruises, 0.0, -self._fall)),
+        )
 
     def at(self, time: float) -> tuple[float, float, float]:
         """Return the distance, the speed and the acceleration `time` seconds after the start.
@@ -259,6 +276,12 @@ class JointPath(MotionPath):
     def end(self, near: list[float]) -> list[float]:
         return self._end
 
+    def course(self, way: FloatArray, speed: FloatArray, acceleration: FloatArray) -> FloatArray:
+        """Return the positions, speeds and accelerations of several set-points, shape (3, n, 6); see `setpoint`."""
+        along = np.multiply.outer(np.array((way, speed, acceleration)), self._shares)
+        along[0] += self._start
+        return along
+
 
 def _within(limits: Sequence[float], shares: Sequence[float]) -> float:
     return min((limit / abs(share) for limit, share in zip(limits, shares, strict=True) if share), default=1.0)
@@ -376,6 +399,30 @@ class PathMove(Command):
             self._path.end(self._last.q)
             self.is_over = True
         return setpoint
+
+    def course(self, cycles: int, seconds: float, scaling: float) -> FloatArray | None:
+        """Return the set-points of the next cycles before the arrival, with an unchanged scaling.
+
+        Return:
+            Positions, speeds and accelerations, shape (3, n, 6), for at most `cycles` cycles. They equal those of
+            `advance`, to the last bit. None if they are only known cycle by cycle.
+        """
+        if self._blend is not None or self._radius or self.is_over or not isinstance(self._path, JointPath):
+            return None
+        times = np.fromiter(self._times(cycles, seconds, scaling), np.float64)
+        way, speed, acceleration = self._profile.course(times[times < self._profile.duration])
+        return self._path.course(way, speed * scaling, acceleration * scaling * scaling)
+
+    def follow(self, cycles: int, seconds: float, scaling: float, last: Setpoint) -> None:
+        """Advance by this number of cycles of `course`, to the set-point `last`."""
+        for time in self._times(cycles, seconds, scaling):
+            self._time = time
+        way, speed, _ = self._profile.at(self._time)
+        self._way, self._last = (way, speed * scaling), last
+
+    def _times(self, cycles: int, seconds: float, scaling: float) -> Iterator[float]:
+        """Yield the time on the profile after each cycle, in s."""
+        return islice(accumulate(repeat(scaling * seconds, cycles), initial=self._time), 1, None)
 
     def _blend_begins(self, way: float, q: list[float]) -> bool:
         if self.is_over or not self._radius or way < 0.5 * self._profile.length:

@@ -56,7 +56,7 @@ def get_actual_joint_positions_history(thread: ScriptThread, steps: Any = 0) -> 
     The history begins at the start of the program, and contains at most the last 500 cycles (assumed).
     """
     past = thread.machine.history
-    return past[-1 - min(integer(steps, "get_actual_joint_positions_history: steps", 0), len(past) - 1)]
+    return tuple(past[-1 - min(integer(steps, "get_actual_joint_positions_history: steps", 0), len(past) - 1)].q_actual)
 
 
 @declare(since="3.0")
