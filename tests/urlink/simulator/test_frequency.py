@@ -163,6 +163,7 @@ def test_contact_is_found_at_a_lower_frequency(model: str, firmware: str, freque
         motion = robot.motion.until_contact([0, 0, -1], speed=0.02)
         motion.wait(20.0)
         assert motion.contact is not None
+        assert motion.contact.pose is not None
         assert z - motion.contact.pose[2] == pytest.approx(0.01, abs=0.002 + 0.02 * 2.0 / frequency)
 
 
