@@ -174,7 +174,7 @@ def kinematics(session: nox.Session) -> None:
 
 @nox.session
 def fuzz(session: nox.Session) -> None:
-    """Run property tests with 2000 examples, and whole tables of cases. Run it after changing a parser or protocol."""
+    """Run property tests with 2000 examples, all drawn cases and whole tables. Run it after changing a parser."""
     install(session, *group("tests"))
     session.run(
         "pytest",

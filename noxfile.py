@@ -4,6 +4,7 @@ The long checks are in nightly.py: `nox -f nightly.py -l`.
 """
 
 import os
+import re
 import shutil
 import subprocess
 import time
@@ -48,11 +49,18 @@ DOCTESTS = ("--doctest-modules", "--doctest-glob=*.md", "--ignore=docs/conf.py")
 EXAMPLES = ("src", "docs", "README.md")
 
 
+#: Requirements to build the distributions of this repository, also in editable mode. A session installs them once. In
+#: build isolation, pip would install them again for each distribution, which takes 3 s of processor time.
+BUILD = (*PROJECT["build-system"]["requires"], "editables")
+UNISOLATED = "--no-build-isolation"
+
+
 def install(session: nox.Session, *requirements: str, extras: str = EXTRAS) -> None:
     """Install the library and the `LIGHT` packages in editable mode, and other requirements."""
-    session.install("-e", f".{extras}", *requirements)
+    session.install(*BUILD)
+    session.install(UNISOLATED, "-e", f".{extras}", *requirements)
     # Without their requirements: the library is already installed, and tests that need viser are skipped without it.
-    session.install("--no-deps", *(word for each in LIGHT for word in ("-e", f"./packages/{each}")))
+    session.install(UNISOLATED, "--no-deps", *(word for each in LIGHT for word in ("-e", f"./packages/{each}")))
 
 
 def group(*names: str) -> tuple[str, ...]:
@@ -182,25 +190,45 @@ PACKAGES: dict[str, tuple[str, ...]] = {
 }
 
 
+def distributions() -> dict[str, Path]:
+    """Map the library (as "") and the packages to their folders."""
+    return {"": ROOT, **{path.parent.name: path.parent for path in sorted(ROOT.glob("packages/*/pyproject.toml"))}}
+
+
+def build_wheels(session: nox.Session, place: Path) -> dict[str, Path]:
+    """Build the wheels of the library (as "") and of every package in an empty folder; map the packages to the wheels.
+
+    The environment of the session must contain `BUILD`.
+    """
+    shutil.rmtree(place, ignore_errors=True)
+    folders = distributions()
+    command = ("python", "-m", "pip", "wheel", "-q", "--no-deps", UNISOLATED, f"--wheel-dir={place}")
+    session.run(*command, *map(str, folders.values()))
+    names = {key: nox.project.load_toml(path / "pyproject.toml")["project"]["name"] for key, path in folders.items()}
+    return {key: next(place.glob(f"{name.replace('-', '_')}-*.whl")) for key, name in names.items()}
+
+
+def new_environment(session: nox.Session, place: Path) -> str:
+    """Create an empty environment in a folder, and return its Python. The pip of the session installs into it."""
+    session.run("python", "-m", "venv", "--clear", "--without-pip", str(place))
+    return str(next(path for path in (place / "bin/python", place / "Scripts/python.exe") if path.exists()))
+
+
 @nox.session
 def packages(session: nox.Session) -> None:
     """Install and test each package of `PACKAGES` alone. Run it after changing one of packages/: ``-- accept mqtt``.
 
     It builds every package, and leaves out tests whose middleware cannot be installed here.
     """
-    folders = [path.parent for path in sorted(Path("packages").glob("*/pyproject.toml"))]
-    wheels = session.create_tmp()
-    session.run(
-        "python", "-m", "pip", "wheel", "-q", "--no-deps", f"--wheel-dir={wheels}", *map("./{}".format, folders)
-    )
+    place = Path(session.create_tmp()).resolve()
+    session.install(*BUILD)
+    wheels = build_wheels(session, place / "wheels")
     for package in session.posargs or PACKAGES:
         # A separate environment, which shows whether a package needs another package.
-        place = Path(wheels).resolve() / package
-        session.run("python", "-m", "venv", "--clear", str(place))
-        python = str(next(path for path in (place / "bin/python", place / "Scripts/python.exe") if path.exists()))
-        ours = (f".{EXTRAS}", f"./packages/{package}", *PACKAGES[package], *group("tests"))
+        python = new_environment(session, place / package)
+        ours = (f"{wheels['']}{EXTRAS}", str(wheels[package]), *PACKAGES[package], *group("tests"))
         try:
-            session.run(python, "-m", "pip", "install", "-q", *ours, external=True)
+            session.run("python", "-m", "pip", "--python", python, "install", "-q", *ours)
         except CommandFailed:
             if package in LIGHT:
                 raise
@@ -268,6 +296,79 @@ def wheel(session: nox.Session) -> None:
     )
     config = ["-c", str(ROOT / "pyproject.toml"), "--rootdir", str(ROOT)]
     session.run("pytest", *config, *(session.posargs or [*PARALLEL, *(str(ROOT / each) for each in TESTED)]))
+
+
+#: What `nox -s release` does not install or run, and why.
+TOO_LARGE = {"lerobot": "LeRobot with torch takes 4 GB; nox -f nightly.py -s lerobot tests it"}
+EXAMPLE_NEEDS = {
+    "files": "a controller with SSH; nox -s packages -- files tests it",
+    "ros2": "an installed ROS 2; nox -f nightly.py -s ros2 tests it",
+}
+
+
+@nox.session(reuse_venv=False)
+def release(session: nox.Session) -> None:
+    """Build and check everything that a release uploads, without uploading. Run it before a release: ``-- mqtt view``.
+
+    It builds the wheel and the source distribution of the library and of every package, with the version of
+    CHANGELOG.md, into ``dist``. Then it installs each wheel in its own environment, and runs the first example of its
+    README there. Arguments name the packages to install; without any, it installs all. On a commit with a tag, it also
+    checks that the tag and the changelog agree, and that the release has a date.
+    """
+    version, date = _released()
+    tag = session.run("git", "tag", "--points-at", "HEAD", "--list", "v*", external=True, silent=True) or ""
+    if tag.strip() and (tag.split() != [f"v{version}"] or date == "unreleased"):
+        session.error(f"the commit has the tag {tag.strip()}, but CHANGELOG.md has {version} - {date}")
+    projects = {path: nox.project.load_toml(path / "pyproject.toml")["project"] for path in distributions().values()}
+    if lacking := [str(path) for path, project in projects.items() if not project.get("urls")]:
+        (session.error if tag.strip() else session.warn)(f"no [project.urls] in the pyproject.toml of {lacking}")
+    dist = ROOT / "dist"
+    shutil.rmtree(dist, ignore_errors=True)
+    session.install("build", "twine", "check-wheel-contents", *BUILD)
+    built = {}
+    for package, folder in distributions().items():
+        place = dist / (package or "urlink")
+        pretended = {} if tag.strip() else {"SETUPTOOLS_SCM_PRETEND_VERSION": version}
+        session.run("python", "-m", "build", "-q", "--no-isolation", "-o", str(place), str(folder), env=pretended)
+        built[package] = next(place.glob("*.whl"))
+        if built[package].name.split("-")[1] != version:
+            session.error(f"{built[package].name} does not have the version {version} of CHANGELOG.md")
+        session.run("twine", "check", "--strict", *map(str, place.iterdir()))
+        # The library consists of several packages, each of the others of one.
+        config = ("--no-config",) if package else ()
+        session.run("check-wheel-contents", *config, str(built[package]))
+    results = {each: _tried(session, each, built) for each in session.posargs or sorted(built.keys() - {""})}
+    for package, result in results.items():
+        session.log(f"{package:12} {result}")
+    if failed := [package for package, result in results.items() if result.startswith("FAILED")]:
+        session.error(f"{', '.join(failed)} cannot be released")
+
+
+def _released() -> tuple[str, str]:
+    """Return the newest version of CHANGELOG.md, and its date or "unreleased"."""
+    found = re.search(r"(?m)^## \[(\d+\.\d+\.\d+)\] - (.+)$", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"))
+    if found is None:
+        raise LookupError("CHANGELOG.md has no heading such as '## [0.1.0] - unreleased'")
+    return found[1], found[2]
+
+
+def _tried(session: nox.Session, package: str, built: dict[str, Path]) -> str:
+    """Install the wheels of the library and of a package in a new environment, and run its first example."""
+    python = new_environment(session, Path(session.create_tmp()).resolve() / package)
+    pip = ("python", "-m", "pip", "--python", python)
+    try:
+        session.run(*pip, "install", "-q", f"{built['']}[cli]")
+        if package in TOO_LARGE:
+            session.run(*pip, "install", "-q", "--no-deps", str(built[package]))
+            return f"installed without its requirements: {TOO_LARGE[package]}"
+        session.run(*pip, "install", "-q", str(built[package]))
+        session.run(*pip, "check")
+        if package in EXAMPLE_NEEDS:
+            return f"installed; its first example needs {EXAMPLE_NEEDS[package]}"
+        session.run(python, ".ci/first_example.py", f"packages/{package}", external=True)
+    except CommandFailed:
+        return "FAILED"
+    return "installed; its first example runs"
 
 
 @nox.session(reuse_venv=False)

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple, TypeVar
 import pytest
 
 from linkcore.net.transport import TcpTransport
+from tests.matrix import IS_WHOLE
 from tests.waiting import until
 
 __all__ = ["Sent", "Trial", "Turns", "run_cancelled", "turns"]
@@ -190,7 +191,7 @@ def _files() -> set[tuple[str, str]]:
 
 def turns(row: int) -> Iterator[int]:
     """Yield the steps at which to cancel this row of a table: all steps in the profile `fuzz`, otherwise two."""
-    if os.environ.get("HYPOTHESIS_PROFILE") == "fuzz":
+    if IS_WHOLE:
         yield from range(1, 5000)
     else:
         yield from (1 + row % 7, 8 + 3 * (row % 9))

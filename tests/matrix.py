@@ -2,7 +2,7 @@
 
 Each test starts with another row, so tests that share a table try all of its rows together.
 `nox -f nightly.py -s fuzz` and `nox -f nightly.py -s mutants` run every row. A row that is named in the command line
-also runs. With `@pytest.mark.matrix` alone, the test itself decides.
+also runs. With `@pytest.mark.matrix` alone, the test itself decides, for example with `trials`.
 
 If a table is a product of axes, choose a share without a common factor with the sizes of the axes. Then every value of
 each axis is tried.
@@ -17,6 +17,14 @@ import pytest
 
 #: Profiles of hypothesis (`tests/conftest.py`) that want quick tests.
 _QUICK = ("default", "ci")
+
+#: Whether all drawn cases are tried, as in `nox -f nightly.py -s fuzz`.
+IS_WHOLE = os.environ.get("HYPOTHESIS_PROFILE") == "fuzz"
+
+
+def trials(few: int, many: int) -> int:
+    """Return how many cases a test with the marker `matrix` draws: `many` in the session `fuzz`, otherwise `few`."""
+    return many if IS_WHOLE else few
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

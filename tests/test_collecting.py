@@ -1,4 +1,4 @@
-"""Sharing the collection between processes, and skipping modules without examples, loses no tests."""
+"""Sharing the collection between processes, and skipping modules without examples or marks, loses no tests."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.collecting import in_turn
+from tests.collecting import in_turn, selected_marks
+from tests.matrix import IS_WHOLE
 
 pytest_plugins = ["pytester"]
 
@@ -40,8 +41,38 @@ def test_doctests_are_collected_from_modules_with_examples(pytester: pytest.Pyte
     pytester.runpytest_inprocess("-p", "tests.collecting", "--doctest-modules").assert_outcomes(failed=failed)
 
 
+@pytest.mark.parametrize(
+    ("expression", "marks"),
+    [
+        ("slow", ("slow",)),
+        ("slow or captures", ("slow", "captures")),
+        ("", ()),
+        ("not slow", ()),
+        ("slow or not captures", ()),
+        ("slow and captures", ()),
+        ("(slow)", ()),
+    ],
+)
+def test_selected_marks_reads_alternatives_only(expression: str, marks: tuple[str, ...]) -> None:
+    assert selected_marks(expression) == marks
+
+
+@pytest.mark.parametrize(("expression", "passed"), [("slow", 1), ("not slow", 1), ("", 2), ("slow or other", 1)])
+def test_modules_without_the_selected_marks_are_skipped(
+    pytester: pytest.Pytester, expression: str, passed: int
+) -> None:
+    pytester.makeini("[pytest]\nmarkers =\n    slow\n    other\npythonpath = .")
+    pytester.makepyfile(
+        test_marked="import pytest\n\n@pytest.mark.slow\ndef test_it(): pass\n", test_plain="def test_it(): pass\n"
+    )
+    result = pytester.runpytest_inprocess("-p", "tests.collecting", "-m", expression, "-v")
+    result.assert_outcomes(passed=passed, deselected=0 if expression in ("", "slow", "slow or other") else 1)
+
+
 @pytest.mark.slow
+@pytest.mark.matrix
 @pytest.mark.real_time
+@pytest.mark.skipif(not IS_WHOLE, reason="pytest-xdist compares the processes of each run; nox -f nightly.py -s fuzz")
 def test_collection_has_the_same_order_in_every_process() -> None:
     """pytest-xdist refuses to run if two processes differ, for example if the cases of a test come from a set."""
     orders = []

@@ -1,7 +1,8 @@
-"""The distribution is called urlink-robot; urlink, the name of its package, is another project on PyPI."""
+"""The distribution is called urlink-robot, because urlink is another project on PyPI. The packages agree with it."""
 
 from __future__ import annotations
 
+import importlib
 import os
 import re
 import subprocess
@@ -9,6 +10,7 @@ import sys
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -113,6 +115,67 @@ def test_no_pyproject_requires_urlink() -> None:
                 line = next(n for n, each in enumerate(text.splitlines(), 1) if f'"{requirement}"' in each)
                 found.append(f"{path.relative_to(ROOT)}:{line}")
     assert not found, "'urlink' on PyPI is another project; write 'urlink-robot' in " + ", ".join(found)
+
+
+#: Versions of Python that the tests of a package were run on, as docs/support.md states; the others on 3.11 only.
+PYTHONS = {
+    **dict.fromkeys(("", "accept", "compat", "view"), ("3.10", "3.11", "3.12", "3.13", "3.14")),
+    "lerobot": ("3.11", "3.12"),
+}
+FOLDERS = {"": ROOT, **{path.parent.name: path.parent for path in sorted(ROOT.glob("packages/*/pyproject.toml"))}}
+
+
+def project(name: str) -> dict[str, Any]:
+    tomllib = pytest.importorskip("tomllib", reason="Python 3.10 cannot read TOML")
+    found: dict[str, Any] = tomllib.loads((FOLDERS[name] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    return found
+
+
+def released() -> str:
+    """Return the newest version of the changelog."""
+    heading = re.search(r"(?m)^## \[(\d+\.\d+\.\d+)\] - ", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"))
+    assert heading is not None
+    return heading[1]
+
+
+@pytest.mark.parametrize("name", FOLDERS)
+def test_classifiers_claim_what_was_run(name: str) -> None:
+    claim = "Programming Language :: Python :: 3."
+    given, library = project(name)["classifiers"], project("")["classifiers"]
+    assert [each for each in given if claim not in each] == [each for each in library if claim not in each]
+    versions = [each.rpartition(" ")[2] for each in given if claim in each]
+    assert versions == list(PYTHONS.get(name, ("3.11",)))
+    for source in (FOLDERS[name] / "src").iterdir():
+        assert source.name.startswith(".") or (source / "py.typed").exists(), "the classifier Typed is wrong"
+
+
+@pytest.mark.parametrize("name", [each for each in FOLDERS if each])
+def test_packages_are_released_with_the_library(name: str) -> None:
+    given, library = project(name), project("")
+    for key in ("license", "license-files", "authors", "requires-python"):
+        assert given[key] == library[key], key
+    assert (FOLDERS[name] / "LICENSE").read_bytes() == (ROOT / "LICENSE").read_bytes()
+    assert given["version"] == released()
+    (required,) = (each for each in given["dependencies"] if each.startswith("urlink-robot"))
+    major, minor, _ = map(int, released().split("."))
+    assert required == f"urlink-robot>={major}.{minor}.dev0,<{major}.{minor + 1}"
+
+
+def test_release_workflow_publishes_every_distribution() -> None:
+    workflow = (ROOT / ".github/workflows/release.yml").read_text(encoding="utf-8")
+    listed = re.search(r"package: \[(.*)\]", workflow)
+    assert listed is not None
+    assert listed[1].split(", ") == [each for each in FOLDERS if each]
+    page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    assert [name for name in map(project, FOLDERS) if f"`{name['name']}`" not in page] == []
+
+
+@pytest.mark.parametrize("name", [each for each in FOLDERS if each])
+def test_first_example_of_each_package_is_found(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(ROOT / ".ci")
+    found = importlib.import_module("first_example").commands((FOLDERS[name] / "README.md").read_text(encoding="utf-8"))
+    assert found
+    assert not [each for each in found if "192.168" in " ".join(each) or "pip" in each]
 
 
 @pytest.fixture

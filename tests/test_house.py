@@ -53,6 +53,7 @@ THREADS = {
     "rhdlink.sync.sync_thread",  # keeps a robot in sync
     "linkcore.recording.index",  # several, while a long recording is checked
     "linkcore.simulated.primitives",  # threads that a program starts while time is simulated
+    "linkcore.simulated.takeover",  # one for each function that is called at a simulated time
     "linkcore.event_loop",  # makes blocking calls for one robot of a program that uses asyncio
     "rhdlink.drive",  # drives a robot between requested motions
     "rhdlink.smrcl.mission",  # runs a mission that was started with `start`

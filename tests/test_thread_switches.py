@@ -31,13 +31,14 @@ from linkcore.streaming.subscription import InlineDelivery, Subscription
 from linkcore.threads import CallbackThread
 from rhdlink.host.plugins.turtle import Turtle
 from tests.fakes.link import BAD, Count, ScriptedTransport, counts, scripted
+from tests.matrix import trials
 from tests.waiting import until
 from urlink.simulator import Controller, Plane
 
 #: Maximum time in s for a test, in real time on a busy computer or in simulated time.
 LONG = 120.0
 LIBRARY = ("linkcore", "urlink", "rhdlink")
-SEEDS = range(4)
+SEEDS = range(trials(2, 20))
 
 
 @pytest.fixture
@@ -206,6 +207,7 @@ def test_stream_loses_nothing_when_threads_switch(switching: None) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.matrix
 @pytest.mark.parametrize("seed", SEEDS)
 def test_stream_loses_nothing_when_lines_interleave(seed: int) -> None:
     with urlink.simulated_time(seed) as sim:
@@ -243,6 +245,7 @@ def test_sends_stay_whole_when_threads_switch(switching: None) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.matrix
 @pytest.mark.parametrize("seed", SEEDS)
 def test_sends_stay_whole_when_lines_interleave(seed: int) -> None:
     with urlink.simulated_time(seed) as sim:
@@ -285,6 +288,7 @@ def test_life_ends_once_when_threads_switch(switching: None) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.matrix
 @pytest.mark.parametrize("seed", SEEDS)
 def test_life_ends_once_when_lines_interleave(seed: int) -> None:
     with urlink.simulated_time(seed) as sim:
@@ -336,6 +340,7 @@ def test_first_use_happens_once_when_threads_switch(switching: None) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.matrix
 @pytest.mark.parametrize("seed", SEEDS)
 def test_first_use_happens_once_when_lines_interleave(seed: int) -> None:
     with urlink.simulated_time(seed) as sim:
@@ -384,6 +389,7 @@ def test_shared_lists_lose_nothing_when_threads_switch(switching: None) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.matrix
 @pytest.mark.parametrize("seed", SEEDS)
 def test_shared_lists_lose_nothing_when_lines_interleave(seed: int) -> None:
     with urlink.simulated_time(seed) as sim:
@@ -468,6 +474,7 @@ def test_robot_loses_nothing_when_threads_switch(switching: None) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.matrix
 @pytest.mark.parametrize("seed", SEEDS)
 def test_robot_loses_nothing_when_lines_interleave(seed: int) -> None:
     with urlink.simulated_time(seed) as sim:
@@ -529,6 +536,7 @@ def test_mobile_robot_loses_nothing_when_threads_switch(switching: None) -> None
 
 
 @pytest.mark.slow
+@pytest.mark.matrix
 @pytest.mark.parametrize("seed", SEEDS)
 def test_mobile_robot_loses_nothing_when_lines_interleave(seed: int) -> None:
     with urlink.simulated_time(seed) as sim:
@@ -561,6 +569,7 @@ def test_drive_loses_nothing_when_threads_switch(switching: None) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.matrix
 @pytest.mark.parametrize("seed", SEEDS)
 def test_drive_loses_nothing_when_lines_interleave(seed: int) -> None:
     with urlink.simulated_time(seed) as sim:

@@ -121,7 +121,7 @@ class Group(StrictAttributes):
             trajectory.check(robot.identity.arm)
             limited = motions._limited("follow")
             if limited is not None:
-                limited.check_trajectory(trajectory)
+                limited.check_trajectory(trajectory, begins_slowly=False)
             trajectory.check(near=motions._context.state().q_target, within=tolerances.start)
             timer = common.member(robot.clock.to_local, 1.0 / robot.firmware.rate)
             servoing = motions._servoing(watchdog, lookahead_time, gain)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from linkcore.errors import BadValue
 from urlink.arm.dynamics import Dynamics
@@ -150,6 +150,12 @@ class NotedSockets:
             self.close(name)
 
 
+class NotedSensors(NamedTuple):
+    """Sensors of one cycle."""
+
+    q_actual: tuple[float, ...]
+
+
 class NotedWorld:
     """Controller of a firmware, with an arm that moves immediately.
 
@@ -190,6 +196,10 @@ class NotedWorld:
     @property
     def q_actual(self) -> Sequence[float]:
         return self.q_target
+
+    @property
+    def sensors(self) -> NotedSensors:
+        return NotedSensors(tuple(self.q_target))
 
     @property
     def pose_target(self) -> Sequence[float]:

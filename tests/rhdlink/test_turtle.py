@@ -51,6 +51,7 @@ LOCKSTEP = (
 
 @pytest.mark.slow
 @pytest.mark.captures("mrc")
+@pytest.mark.matrix(3)
 @pytest.mark.parametrize("drive", [f"{kind}_{name}" for kind in ("vw", "smr") for name in LOCKSTEP])
 def test_recorded_commands_reproduce_the_recorded_drive(drives: Path, drive: str) -> None:
     with (drives / f"{drive}.csv").open() as file:

@@ -27,7 +27,9 @@ from urlink.simulator.robot.generator import MotionGenerator
 CYCLE = 0.002
 #: Two controllers that send 125 packets/s. E-Series controllers send 500, so their tests take up to four times as long.
 CB3 = ("3.15", "3.4")
-WITH_E_SERIES = [pytest.param(each, marks=pytest.mark.slow) for each in (("5.11", "5.11"), ("3.15", "5.11"))]
+WITH_E_SERIES = [
+    pytest.param(each, marks=[pytest.mark.slow, pytest.mark.matrix(2)]) for each in (("5.11", "5.11"), ("3.15", "5.11"))
+]
 #: Duration of a motion of the tests, in s, and the angle of wrist 3 at its end, in rad.
 SECONDS, WAY = 1.0, 0.4
 

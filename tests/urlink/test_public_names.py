@@ -162,7 +162,7 @@ SURFACES = {
     "robot.motion.until_contact([0, 0, 1])": f"{HANDLE} contact progress",
     "robot.motion.stop()": f"{HANDLE} progress",
     "robot.motion.path([urlink.Joint([0, -1.5, 1.5, -1.5, -1.5, 0])])": f"{HANDLE} progress segment segments",
-    "robot.motion.jog()": f"{HANDLE} frame move progress stop timeout",
+    "robot.motion.jog()": f"{HANDLE} frame limit move progress stop timeout",
     "robot.motion.stream()": f"""{HANDLE} append buffer buffered clear end is_dry progress replace room starved time
         wait_until_dry""",
     "robot.teach()": "freedrive record taught",

@@ -64,6 +64,7 @@ def test_change_names_the_entry_to_edit_when_the_code_differs(change: Change, me
 
 
 @pytest.mark.slow
+@pytest.mark.matrix(2)
 @pytest.mark.parametrize("name", SHOWN)
 @pytest.mark.real_time
 def test_defect_shows_in_its_world(name: str) -> None:

@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 
 import urlink
+from linkcore import clock
+from packages.gym.tests.conftest import CB3
 from packages.gym.tests.test_tasks import example
 from urlink_gym.arm_env import HOME
 
@@ -142,6 +144,41 @@ def test_server_that_hangs_times_out_and_arm_stops(
             openpi.run(robot, policy, openpi.parsed(["sim://"]))
         wave.never.set()
     assert np.abs(robot.realtime.wait().qd_target).max() < 1e-3
+
+
+class Hanging:
+    """Policy whose server does not answer until the test ends, and the time at which it was asked."""
+
+    def __init__(self) -> None:
+        self.asked = -np.inf
+        self.test_is_over = threading.Event()
+
+    def infer(self, *question: Any) -> None:
+        self.asked = clock.now()
+        self.test_is_over.wait()
+
+
+def test_answer_is_awaited_for_ten_seconds(openpi: ModuleType, simulated_time: urlink.Simulation) -> None:
+    policy = Hanging()
+    with urlink.connect(CB3) as robot:
+        with pytest.raises(urlink.LinkTimeout, match="did not answer within 10 s"):
+            openpi.run(robot, policy, openpi.parsed(["sim://"]))
+        # The arm rests during the wait, so the block of the follower ends within a few cycles.
+        assert 10.0 <= clock.now() - policy.asked < 11.0
+        assert not robot.realtime.wait().qd_target.any()
+    policy.test_is_over.set()
+
+
+def test_connection_is_awaited_for_thirty_seconds(
+    openpi: ModuleType, simulated_time: urlink.Simulation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    policy = Hanging()
+    monkeypatch.setattr(openpi, "WebsocketClientPolicy", policy.infer)
+    monkeypatch.setattr("sys.argv", ["openpi_policy.py", CB3])
+    with pytest.raises(urlink.LinkTimeout, match="did not answer within 30 s"):
+        openpi.main()
+    assert clock.now() - policy.asked == pytest.approx(30.0, abs=1e-6)
+    policy.test_is_over.set()
 
 
 def test_server_that_is_absent_raises(openpi: ModuleType) -> None:

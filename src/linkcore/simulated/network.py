@@ -305,10 +305,10 @@ class End:
         Return False, and send nothing, if anything else could happen before that. The function replaces the events of
         sending, arrival and acknowledgement. It is for a call of `Scheduler.call_at` that does nothing else afterwards.
         """
-        peer, size = self.peer, len(packet)
-        if peer is None or self.quiet_time <= 0.0 or peer.is_closing or len(peer.received) + size > BUFFER:
+        peer, size, scheduler = self.peer, len(packet), self.network.scheduler
+        if peer is None or self._quiet_time(size) <= 0.0 or peer.is_closing or len(peer.received) + size > BUFFER:
             return False
-        route, scheduler = self.network.route(self.computer, peer.computer), self.network.scheduler
+        route = self.network.route(self.computer, peer.computer)
         takes = route.latency + route.jitter * scheduler.random.random() + size / route.bandwidth
         scheduler.note(packet.head)
         scheduler.now = self._arrives = max(scheduler.now + takes, self._arrives)
@@ -322,13 +322,17 @@ class End:
     @property
     def quiet_time(self) -> float:
         """Time in s during which packets can be sent so that they arrive before anything else happens."""
+        return self._quiet_time(BUFFER)
+
+    def _quiet_time(self, size: int) -> float:
+        """Return the same as `quiet_time`, for at most this number of bytes."""
         peer = self.peer
         if peer is None or self.unacknowledged or not (self.is_open and peer.is_open and peer.computer.is_running):
             return 0.0
         route = self.network.route(self.computer, peer.computer)
         if route.is_silent:
             return 0.0
-        longest = route.latency + route.jitter + BUFFER / route.bandwidth
+        longest = route.latency + route.jitter + size / route.bandwidth
         return self.network.scheduler.quiet_until - self.network.scheduler.now - longest
 
     def shut(self) -> None:

@@ -17,7 +17,7 @@ from collections.abc import Callable
 from types import GenericAlias
 from typing import Any
 
-from .scheduler import Ended, Scheduler, Task, current
+from .scheduler import Ended, Scheduler, Task, TaskComputer, current
 
 #: Poll interval, in s, of a thread outside of the simulation.
 _LOOK = 0.001
@@ -267,7 +267,15 @@ def start(thread: threading.Thread) -> None:
         raise RuntimeError("threads can only be started once")
     if not scheduler.running.computer.starts_threads:
         raise RuntimeError("can't start new thread")
-    task = scheduler.spawn(thread.name, scheduler.running.computer)
+    start_on(scheduler, thread, scheduler.running.computer)
+    scheduler.step()
+
+
+def start_on(
+    scheduler: Scheduler, thread: threading.Thread, computer: TaskComputer, *, is_never_held: bool = False
+) -> None:
+    """Start a thread of a computer. A call of `Scheduler.call_at` may do this, because it does not wait."""
+    task = scheduler.spawn(thread.name, computer, is_never_held=is_never_held)
     thread._simulated = task  # type: ignore[attr-defined]
     if getattr(thread, "_context", thread) is None:
         # CPython 3.14 runs a thread in a context that `Thread.start` has set. In earlier versions, each thread begins
@@ -277,7 +285,6 @@ def start(thread: threading.Thread) -> None:
     # `_bootstrap_inner` removes this entry again.
     threading._limbo[thread] = thread  # type: ignore[attr-defined]
     task.ident = _thread.start_new_thread(_take_part, (scheduler, task, thread))
-    scheduler.step()
 
 
 def _take_part(scheduler: Scheduler, task: Task, thread: threading.Thread) -> None:

@@ -105,6 +105,8 @@ class Task:
     waiters: deque[Task] | None = None
     #: Exception to raise when the task runs next.
     error: BaseException | None = None
+    #: Whether the task also runs while its computer is suspended.
+    is_never_held: bool = False
     #: Number of times that the task has continued after `Ended`.
     endings: int = 0
     joiners: deque[Task] = field(default_factory=deque)
@@ -166,9 +168,9 @@ class Scheduler:
         self.running = task
         return task
 
-    def spawn(self, name: str, computer: TaskComputer, *, is_ready: bool = True) -> Task:
+    def spawn(self, name: str, computer: TaskComputer, *, is_ready: bool = True, is_never_held: bool = False) -> Task:
         """Make a task. Its thread must first call `begin`, which waits until the task may run."""
-        task = Task(name, len(self.tasks), computer)
+        task = Task(name, len(self.tasks), computer, is_never_held=is_never_held)
         self.tasks.append(task)
         if is_ready:
             self.make_ready(task)
@@ -259,7 +261,7 @@ class Scheduler:
         if task.is_ready or task.is_over:
             return
         task.is_ready = True
-        (self._ready if task.computer.is_running else task.computer.held).append(task)
+        (self._ready if task.computer.is_running or task.is_never_held else task.computer.held).append(task)
 
     def wake_one(self, waiters: deque[Task]) -> None:
         """Make one of the waiting tasks ready; the seed selects it."""
@@ -320,8 +322,9 @@ class Scheduler:
     def suspend(self, computer: TaskComputer) -> None:
         """Stop all tasks of a computer until `resume`."""
         computer.is_running = False
-        computer.held += [task for task in self._ready if task.computer is computer]
-        self._ready[:] = [task for task in self._ready if task.computer is not computer]
+        held = [task for task in self._ready if task.computer is computer and not task.is_never_held]
+        computer.held += held
+        self._ready[:] = [task for task in self._ready if task not in held]
         if not self._is_choosing and self.running.computer is computer:
             self.yield_()
 
@@ -471,6 +474,10 @@ class Scheduler:
                 self._interrupt(first, error)
             else:
                 self.now = due[0][0]
+
+    def interrupt(self, error: BaseException) -> None:
+        """Raise an error in the first task, soon."""
+        self._interrupt(self.tasks[0], error)
 
     def _interrupt(self, task: Task, error: BaseException) -> None:
         task.error = error

@@ -20,6 +20,7 @@ import time
 from _thread import get_ident
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import thread as _pool
+from functools import partial
 from types import ModuleType
 from typing import Any
 
@@ -127,8 +128,22 @@ class Simulation(StrictAttributes):
             task.computer = before
 
     def at(self, seconds: float, call: Callable[[], object]) -> None:
-        """Call a function, such as `computer.suspend`, at a simulated time. It must not wait."""
-        self._scheduler.call_at(seconds, call)
+        """Call a function, such as `computer.suspend`, at a simulated time, in its own thread.
+
+        The function may wait. It also runs while the computer of the caller is suspended. If it raises an exception,
+        the block gets this exception.
+        """
+        scheduler, computer = self._scheduler, self._scheduler.running.computer
+
+        def run() -> None:
+            try:
+                call()
+            except Exception as error:
+                scheduler.interrupt(error)
+
+        thread = threading.Thread(target=run, name=f"call at {seconds:g} s", daemon=True)
+        start = partial(primitives.start_on, scheduler, thread, computer, is_never_held=True)
+        scheduler.call_at(seconds, start)
 
     def schedule(self, *faults: str) -> None:
         """Schedule faults of computers or cables: `schedule("cut=robot@5", "mend=robot@5.5")`.

@@ -144,14 +144,17 @@ class Connection:
                         "wait for it after the handler has returned"
                     )
             # A reader that ends closes its subscriptions. A new subscription belongs to the next reader.
-            clock.wait(partial(self._changed.wait_for, lambda: not self._life.is_ending), self._timeout)
+            if self._life.is_ending:
+                clock.wait(partial(self._changed.wait_for, lambda: not self._life.is_ending), self._timeout)
             if self._life.is_closed:
                 raise Closed(f"{self.name} was closed")
             if add is not None:
                 add()
             self._begin(is_patient=False)
             attempt = self._life.attempt
-            if not clock.wait(partial(self._changed.wait_for, lambda: attempt.is_settled), self._timeout + 1.0):
+            if not attempt.is_settled and not clock.wait(
+                partial(self._changed.wait_for, lambda: attempt.is_settled), self._timeout + 1.0
+            ):
                 raise self.error or LinkTimeout(f"{self.name}: no connection within {self._timeout:g} s")
         if attempt.failure is not None:
             raise unraised(attempt.failure)

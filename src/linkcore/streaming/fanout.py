@@ -233,7 +233,7 @@ class FanOut:
     def remove(self, sink: Sink) -> None:
         """Stop offering packets to `sink`; queued packets can still be taken."""
         with self._lock:
-            for route in self._now():
+            for route in list(self._routes):
                 if route.sink is sink:
                     self._routes.pop(route, None)
             self._update()
@@ -255,16 +255,15 @@ class FanOut:
 
         Repeat it if a signal handler changes the routes meanwhile.
         """
-        routes: list[_Route] | None = None
-        while routes != (routes := self._now()):
-            offered = [route for route in routes if route.group is object]
-            queues, callbacks = (
-                tuple(route.offer for route in offered if route.sink.is_inline is is_inline)
-                for is_inline in (False, True)
-            )
+        known: list[_Route] | None = None
+        while known != (known := list(self._routes)):
+            offered = [route for route in known if route.group is object]
+            first = [route for route in offered if not route.sink.is_inline]
+            last = [route for route in offered if route.sink.is_inline]
+            queues, callbacks = tuple([route.offer for route in first]), tuple([route.offer for route in last])
             self._offers = (queues + callbacks, queues, callbacks)
-            self._steady = tuple(route.sink for route in offered)
-            self.taps = tuple(route.sink for route in routes if route.group is Traffic)
+            self._steady = tuple([route.sink for route in first + last])
+            self.taps = tuple([route.sink for route in known if route.group is Traffic])
 
     # -- callbacks -------------------------------------------------------------------------------
 

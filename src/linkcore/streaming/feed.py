@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -74,11 +73,16 @@ class Feed(StrictAttributes, Generic[T]):
             Closed: If the stream was closed.
         """
         timeout = check_seconds(timeout, "timeout")
-        self._connection.refuse_to_wait("wait()")
-        with contextlib.closing(self._packets(latest, timeout, None, is_loop=False)) as packets:
-            for packet in packets:
-                return packet
-        raise self._why_nothing(timeout)
+        connection, kind = self._connection, self._kind
+        connection.refuse_to_wait("wait()")
+        queue = connection.open_queue(kind, latest)
+        try:
+            packet = _taking(queue)(timeout)
+        finally:
+            connection.close_queue(queue)
+        if packet is None:
+            raise self._why_nothing(timeout)
+        return next(iter(connection.fan_out.expand(kind, packet)))
 
     def wait_until(self, condition: Callable[[T], object], timeout: float = 5.0) -> T:
         """Wait for a packet that meets a condition, and return it.
@@ -148,15 +152,12 @@ class Feed(StrictAttributes, Generic[T]):
         self._connection.refuse_to_wait("iterating")
         return self._packets(policy, timeout, lifespan)
 
-    def _packets(
-        self, policy: Policy, timeout: float | None, lifespan: float | None, *, is_loop: bool = True
-    ) -> Generator[T, None, None]:
+    def _packets(self, policy: Policy, timeout: float | None, lifespan: float | None) -> Generator[T, None, None]:
         connection, kind = self._connection, self._kind
         expand = connection.fan_out.expander(kind)
         queue = connection.open_queue(kind, policy, lifespan)
         take = _taking(queue)
-        if is_loop:
-            connection.counters.loop_began(queue)
+        connection.counters.loop_began(queue)
         try:
             while True:
                 packet = take(timeout)

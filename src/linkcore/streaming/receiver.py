@@ -169,7 +169,7 @@ class DeferredReceiver(Receiver):
         if isinstance(data, SteadyBytes):
             return not self.rest  # its predecessor is the previous packet of this connection
         cycles = self._protocol.cycles
-        return cycles is not None and 0.0 < cycles.time(data.head)[0] - cycles.last <= cycles.at_most
+        return cycles is not None and cycles.is_next(cycles.time(data.head)[0])
 
     def feed(self, data: bytes | Deferred, stamp: Stamp) -> Sequence[Any]:
         """See `Receiver.feed`."""

@@ -121,6 +121,10 @@ class MissedCycles:
                 last, at_most = moment, self.at_most
         self.last = last
 
+    def is_next(self, moment: float) -> bool:
+        """Whether no packet is missing before a packet with this time of the controller's clock, in s."""
+        return 0.0 < moment - self.last <= (1.0 + _SLACK) * self._period
+
     def take_moment(self, moment: float) -> None:
         """Count one received packet, given its time by the controller's clock, in s."""
         step = moment - self.last

@@ -8,12 +8,15 @@ pause, the arm must be where it was when the program was paused.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Literal
 
+from linkcore.errors import LocalError
 from linkcore.handle import Lifecycle
 from linkcore.streaming.peer_clock import EARLIER
 from linkcore.streaming.stream import Stream
+from linkcore.threads import CallbackThread
 
 from ..arm.vectors import JOINTS
 from ..errors import ToleranceExceeded
@@ -201,15 +204,34 @@ def end_where_moved(life: Lifecycle, realtime: Stream[RealtimeState]) -> None:
 
     Otherwise the controller would drive the arm back to its path. The program is stopped before it can resume. Firmware
     before 3.2 does not report pauses, so nothing is monitored there.
+
+    The states are compared in the thread that reads them. The stop is sent in another thread, because it waits if the
+    controller accepts no text, and no state could be received meanwhile.
     """
     pause = Pause(life.name, MOVED, at_once=True)
+    is_ending = False
 
     def look(state: RealtimeState) -> None:
+        nonlocal is_ending
         try:
             pause.look(state)
         except ToleranceExceeded as error:
-            life.fail(error, brake=True)
+            if not is_ending:
+                is_ending = True
+                _soon(f"{life.name} stop", partial(life.fail, error, brake=True))
 
     # The position is compared only during a pause. At other times, only the modes of a state matter.
     subscription = realtime._connection.subscribe_inline(RealtimeState, look, only_changes=lambda: not pause.holds)
     life.on_end(lambda: subscription.close(0))
+
+
+def _soon(name: str, call: Callable[[], object]) -> None:
+    """Make a call in a new thread; if the system has no thread left, in this one."""
+    thread = CallbackThread(name)
+    try:
+        thread.start()
+    except LocalError:
+        call()
+    else:
+        thread.call(call)
+        thread.close(0.0)

@@ -38,15 +38,11 @@ _RESTING = 1e-3
 _TOOL_STEP, _TOOL_TURN, _FURTHEST, _MOST_TURN = 0.02, 0.05, 25.0, 4.0 * math.pi
 #: Largest turn of a joint between two samples of a predicted tool speed, in rad. A larger turn is a singularity.
 _LEAP = 0.5
-#: Number of cycles by which a message or the end of a program can take effect later than predicted.
-LATE = 4
 #: Time in s by which the start of a program stretches the time of a speed, while the speed scaling rises from 0 to 1.
 RAMP = 0.5 / number("start_rate")
 #: If the acceleration of a trajectory rises within the first of these times in s, servoj exceeds the speed by this rise
 #: in rad/s², times the factor in s. Both are chosen from the simulator (assumption).
 _OVERSHOOTS, _OVERSHOOT = (0.15, 0.1, 0.05, 0.0), 0.025
-#: Delays in s after which a new program can take over from a motion at a speed.
-DELAYS = (0.0, 0.05, 0.1)
 #: Deceleration with which the program of a servo brakes at its end (`urlink.script.links.BRAKE`), in rad/s², and
 #: rounding error of a set-point, in rad.
 _STOPPING, _ROUNDED = 4.0, 2e-6
@@ -55,6 +51,8 @@ _STOPPING, _ROUNDED = 4.0, 2e-6
 FIRST_STEP = 0.01
 #: Watched motions: number of cycles until the arm begins to brake.
 _REACTION = 6
+#: Parts of a speed of the tool: along the axes, and about the axes.
+_LINE_AND_TURN = slice(0, 3), slice(3, 6)
 
 
 #: Predicted motion: a function that returns positions in rad and speeds in rad/s, (6,) each, at a time in s, and the
@@ -106,7 +104,7 @@ class LimitedArm:
         self.tcp = tcp_of(self.arm, state)
         self.q: FloatArray = np.array(state.q_target)
         self.qd: FloatArray = np.array(state.qd_target)
-        #: whether the arm moves, or an earlier command might still move it; set by the caller for such a command
+        #: whether the arm moves
         self.is_moving = bool(np.abs(self.qd).max() > _RESTING)
 
     # -- comparisons -----------------------------------------------------------------------------------
@@ -135,6 +133,21 @@ class LimitedArm:
         jacobians = self.arm.jacobian(q, self.tcp)[..., :3, :]
         speeds: FloatArray = np.linalg.norm(np.einsum("...ij,...j->...i", jacobians, qd), axis=-1)
         return speeds
+
+    def shortest(self, q: FloatArray, way: FloatArray) -> float:
+        """Return the shortest duration, in s, of a motion at constant speed of the joints within the limits of speed.
+
+        Args:
+            q: Positions on the way, (n, 6) rad.
+            way: Turns of the joints, (6,) rad.
+        """
+        seconds = 0.0
+        if self.limits.joint_speed is not None:
+            seconds = float(np.abs(way).max()) / self.limits.joint_speed
+        if self.limits.tool_speed is not None:
+            furthest = float(self.tool_speeds(q, np.broadcast_to(way, q.shape)).max())
+            seconds = max(seconds, furthest / self.limits.tool_speed)
+        return seconds
 
     def check_start(self) -> None:
         """Raise `LimitExceeded` unless the arm is at rest, with its tool in the box."""
@@ -201,87 +214,55 @@ class LimitedArm:
             middles = 0.5 * (before[:, np.newaxis] + after[np.newaxis])
             self.check(np.concatenate([middles.reshape(-1, 6), corner[np.newaxis]]))
 
-    def check_joint_speed(
-        self, qd: FloatArray, acceleration: float, seconds: float, *, delays: Sequence[float]
-    ) -> None:
+    def check_joint_speed(self, qd: FloatArray, acceleration: float, seconds: float) -> None:
         """Check a motion at speeds of the joints: change of speed, constant speed, and braking.
 
         Args:
             qd: Speeds, (6,) rad/s.
             acceleration: Acceleration of the joint whose speed changes most, in rad/s².
             seconds: Time until the arm brakes, in s.
-            delays: Times in s for which the arm might first continue at its current speed.
         """
-        for delay in delays if self.is_moving else (0.0,):
-            speeds = [self.qd, self.qd]
-            times = [0.0, delay]
-            rise = float(np.abs(qd - self.qd).max()) / acceleration
-            if self.is_moving:
-                # The arm might still accelerate by an earlier command until the new one takes over.
-                seconds = max(seconds, min(rise, seconds + max(delays)))
-            reached = qd if rise <= seconds else self.qd + (qd - self.qd) * seconds / rise
-            speeds += [reached, reached, np.zeros(6)]
-            held = max(seconds - rise, 0.0)
-            times += [min(rise, seconds), held, float(np.abs(reached).max()) / acceleration]
-            q, rows, rates = self.q, [self.q], [self.qd]
-            for first, last, length in zip(speeds, speeds[1:], times[1:], strict=False):
-                n = _count(float(np.abs(first).sum() + np.abs(last).sum()) * length / STEP, 2)
-                part = np.linspace(0.0, 1.0, n)[1:, np.newaxis]
-                rows += list(q + length * part * (first + 0.5 * part * (last - first)))
-                rates += list(first + part * (last - first))
-                q = q + 0.5 * length * (first + last)
-            self.check(np.array(rows), np.array(rates))
+        rise = float(np.abs(qd - self.qd).max()) / acceleration
+        reached = qd if rise <= seconds else self.qd + (qd - self.qd) * seconds / rise
+        speeds = [self.qd, reached, reached, np.zeros(6)]
+        times = [min(rise, seconds), max(seconds - rise, 0.0), float(np.abs(reached).max()) / acceleration]
+        q, rows, rates = self.q, [self.q], [self.qd]
+        for first, last, length in zip(speeds, speeds[1:], times, strict=False):
+            n = _count(float(np.abs(first).sum() + np.abs(last).sum()) * length / STEP, 2)
+            part = np.linspace(0.0, 1.0, n)[1:, np.newaxis]
+            rows += list(q + length * part * (first + 0.5 * part * (last - first)))
+            rates += list(first + part * (last - first))
+            q = q + 0.5 * length * (first + last)
+        self.check(np.array(rows), np.array(rates))
 
-    def check_tool_speed(
-        self,
-        xd: FloatArray,
-        acceleration: float,
-        seconds: float,
-        *,
-        delays: Sequence[float],
-        is_of_tool: bool = False,
-        braking: float | None = None,
-    ) -> None:
-        """Check a motion at a speed of the tool: change of speed, constant speed, and braking.
+    def check_tool_speed(self, xd: FloatArray, acceleration: float, seconds: float) -> None:
+        """Check a motion at a speed of the tool in the base frame: change of speed, constant speed, and braking.
 
         Args:
             xd: Speed of the tool, (6,) in m/s and rad/s.
-            acceleration: Acceleration in m/s² and rad/s².
+            acceleration: Acceleration in m/s² and rad/s², also for braking.
             seconds: Time until the tool brakes, in s.
-            delays: Times in s for which the arm might first continue at its current speed.
-            is_of_tool: Whether the speed is along and about the axes of the tool, rather than those of the base.
-            braking: Deceleration in m/s² and rad/s²; None for `acceleration`.
         """
-        for delay in delays if self.is_moving else (0.0,):
-            poses, dt = self._tool_poses(xd, acceleration, seconds, delay, is_of_tool, braking or acceleration)
-            if self.limits.box is not None:
-                self.limits.check_places(poses[:, :3])
-            rows = self.arm.inverse_path(poses, self.q, self.tcp)
-            turns = np.diff(rows, axis=0)
-            if np.abs(turns).max(initial=0.0) > _LEAP:
-                joint = int(np.abs(turns).max(axis=0).argmax())
-                raise LimitExceeded(
-                    "joint_speed", f"{JOINTS[joint]} would jump: the path passes through a singularity", "no jump"
-                )
-            self.check(0.5 * (rows[1:] + rows[:-1]), turns / dt)
+        poses, dt = self._tool_poses(xd, acceleration, seconds)
+        if self.limits.box is not None:
+            self.limits.check_places(poses[:, :3])
+        rows = self.arm.inverse_path(poses, self.q, self.tcp)
+        turns = np.diff(rows, axis=0)
+        if np.abs(turns).max(initial=0.0) > _LEAP:
+            joint = int(np.abs(turns).max(axis=0).argmax())
+            raise LimitExceeded(
+                "joint_speed", f"{JOINTS[joint]} would jump: the path passes through a singularity", "no jump"
+            )
+        self.check(0.5 * (rows[1:] + rows[:-1]), turns / dt)
 
-    def _tool_poses(
-        self, xd: FloatArray, acceleration: float, seconds: float, delay: float, is_of_tool: bool, braking: float
-    ) -> tuple[FloatArray, float]:
+    def _tool_poses(self, xd: FloatArray, acceleration: float, seconds: float) -> tuple[FloatArray, float]:
         """Return poses of the tool at equal times, and the time between two of them, in s."""
-        from ..arm.poses import compose, rotvec_to_matrix
+        from ..arm.poses import compose
 
         pose: list[float] = self.arm.forward(self.q, self.tcp).tolist()
         velocity: FloatArray = self.arm.velocity(self.q, self.qd, self.tcp)
-        line, turn = (
-            max(float(np.linalg.norm(each[part])) for each in (xd, velocity)) for part in (slice(0, 3), slice(3, 6))
-        )
-        if self.is_moving:
-            change = xd - velocity
-            rise = max(float(np.linalg.norm(change[:3])), float(np.linalg.norm(change[3:]))) / acceleration
-            # The arm might still accelerate by an earlier command until the new one takes over.
-            seconds = max(seconds, min(rise, seconds + DELAYS[-1]))
-        total = delay + seconds + max(line, turn) / braking
+        line, turn = (max(float(np.linalg.norm(each[part])) for each in (xd, velocity)) for part in _LINE_AND_TURN)
+        total = seconds + max(line, turn) / acceleration
         if line * total > _FURTHEST or turn * total > _MOST_TURN:
             raise LimitExceeded(
                 "start",
@@ -298,18 +279,8 @@ class LimitedArm:
         dt = total / n
         poses = [pose]
         for step in range(n):
-            t = (step + 0.5) * dt
-            if t > delay:
-                wanted = xd if t <= delay + seconds else np.zeros(6)
-                if is_of_tool and t <= delay + seconds:
-                    turned = rotvec_to_matrix(pose[3:])
-                    wanted = np.concatenate([turned @ xd[:3], turned @ xd[3:]])
-                most = (acceleration if t <= delay + seconds else braking) * dt
-                new = np.concatenate(
-                    [_towards(velocity[:3], wanted[:3], most), _towards(velocity[3:], wanted[3:], most)]
-                )
-            else:
-                new = velocity
+            wanted = xd if (step + 0.5) * dt <= seconds else np.zeros(6)
+            new = np.concatenate([_towards(velocity[part], wanted[part], acceleration * dt) for part in _LINE_AND_TURN])
             way = (0.5 * dt * (velocity + new)).tolist()
             velocity = new
             place = [a + b for a, b in zip(pose[:3], way[:3], strict=True)]
@@ -319,6 +290,41 @@ class LimitedArm:
             pose = [*place, *turned_to]
             poses.append(pose)
         return np.array(poses), dt
+
+    def check_tool_stop(self, xd: FloatArray, acceleration: float, seconds: float) -> None:
+        """Check that a tool could come to rest within the limits after some more time at a speed.
+
+        This method needs a small part of the time of `check_tool_speed`, so a loop can call it in each cycle.
+
+        Args:
+            xd: Speed of the tool in the base frame, (6,) in m/s and rad/s.
+            acceleration: Acceleration in m/s² and rad/s², also for braking.
+            seconds: Time until the tool brakes, in s.
+        """
+        q, jacobian = self.q, self.arm.jacobian(self.q, self.tcp)
+        before = jacobian @ self.qd
+        reached = np.concatenate([_towards(before[p], xd[p], acceleration * seconds) for p in _LINE_AND_TURN])
+        if self.limits.box is not None:
+            rise = min(float(np.linalg.norm(reached[:3] - before[:3])) / acceleration, seconds)
+            # While the speed changes, the tool moves on a parabola. It lies in the triangle of its ends and of the
+            # point where the tangents of both meet. The rest of the path is straight, so the box contains the path if
+            # it contains these points.
+            place = self.arm.forward(q, self.tcp)[:3]
+            meet = place + 0.5 * rise * before[:3]
+            end = meet + (seconds - 0.5 * rise) * reached[:3]
+            rest = end + 0.5 * float(np.linalg.norm(reached[:3])) / acceleration * reached[:3]
+            self.limits.check_places(np.stack([place, meet, meet + 0.5 * rise * reached[:3], end, rest]))
+        braking = max(float(np.linalg.norm(reached[part])) for part in _LINE_AND_TURN) / acceleration
+        try:
+            qd = np.linalg.solve(jacobian, reached)
+            # At the same speed of the tool, the joints are faster closer to a singularity.
+            places = q + np.array([[seconds], [seconds + 0.375 * braking]]) * qd
+            later = np.linalg.solve(self.arm.jacobian(places, self.tcp), np.stack([reached, 0.5 * reached])[..., None])
+        except np.linalg.LinAlgError:
+            raise LimitExceeded("joint_speed", "the arm is at a singularity", "an arm outside of it") from None
+        self.limits.check_joint_speeds(np.concatenate([qd[np.newaxis], later[..., 0]]))
+        if self.limits.tool_speed is not None:
+            self.limits.check_tool_speeds(np.linalg.norm(reached[np.newaxis, :3], axis=1))
 
     def check_curve(
         self,
@@ -346,12 +352,20 @@ class LimitedArm:
             qd = qd + np.sign(qd) * 1.5 * np.abs(offset) / seconds
         self.check(q, qd, margin)
 
-    def check_trajectory(self, trajectory: JointCurve) -> None:
-        """Check a trajectory that begins close to the position of the arm."""
+    def check_trajectory(self, trajectory: JointCurve, *, begins_slowly: bool) -> None:
+        """Check a trajectory that begins close to the position of the arm.
+
+        Args:
+            trajectory: The trajectory.
+            begins_slowly: Whether the time of the trajectory passes slowly at first, like the time of a program that
+                has just started (`ProgramTimer.restart`). Otherwise the arm falls behind and catches up.
+        """
         offset = self.q - trajectory.q[0]
 
         def followed(t: FloatArray) -> tuple[FloatArray, FloatArray]:
             q, qd, _ = trajectory.at(t)
+            if begins_slowly:
+                return q, qd
             # Accelerations of the last _OVERSHOOTS in the direction of the motion, the oldest one first.
             recent = [np.sign(qd) * trajectory.at(t - lag)[2] for lag in _OVERSHOOTS]
             overshoot = _OVERSHOOT * np.maximum(np.max(recent, axis=0) - recent[0], 0.0)
@@ -367,11 +381,12 @@ class LimitedArm:
             speed, acceleration: Speed and acceleration of the tool, in m/s and m/s².
             distance: Longest distance, in m.
         """
-        # The program moves for this time if nothing is touched (`urlink.script.force_control.until_contact`).
-        # In the simulator, it ends up to eight cycles later than this.
-        seconds = distance / speed + speed / acceleration + 3 * LATE * self.cycle
+        # The program moves for the first two times if nothing is touched (`urlink.script.force_control.until_contact`).
+        # Its start stretches the motion by `RAMP`. If the speed is reached sooner, the tool is slower meanwhile, so the
+        # distance grows by less. In the simulator, the program ends up to one cycle later.
+        seconds = distance / speed + speed / acceleration + min(RAMP, 0.5 * speed / acceleration) + self.cycle
         xd = np.concatenate([speed * direction, np.zeros(3)])
-        self.check_tool_speed(xd, acceleration, seconds, delays=(0.0,))
+        self.check_tool_speed(xd, acceleration, seconds)
 
     def check_setpoint(self, before: Sequence[float], q: Sequence[float], seconds: float) -> None:
         """Check one set-point of a servo: its place, the speed from the last set-point, and braking after it.

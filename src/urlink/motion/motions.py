@@ -24,7 +24,7 @@ from ..protocol.realtime.packets import RealtimeState
 from ..script import commands, force_control
 from ..script.wrapping import HAS_REGISTERS
 from .context import MotionContext
-from .limited import DELAYS, LATE, RAMP, LimitedArm, evenly_timed
+from .limited import RAMP, LimitedArm, evenly_timed
 from .links.register_link import RegisterPort
 from .moves.path import Circular, Linear, PathMotion, Rates, Waypoint, check_tool_way, plan, shown_tcp, way_to
 from .moves.speed_limit import check_joint_speeds, largest_speeds
@@ -273,12 +273,14 @@ class Motions(StrictAttributes):
           for the time `duration`.
         - A longer motion is controlled over a `link` with a watchdog of 0.5 s. If the next call has a `duration` of
           0.5 s or more and the same `acceleration`, it changes the speed and the duration, and returns the same handle.
+        - In a session with limits, every motion is controlled over a `link`, with a watchdog of 0.2 s. If the arm comes
+          too close to a limit, it brakes, and the motion ends with `LimitExceeded`.
 
         Args:
             qd: Speeds of the joints, shape (6,), in rad/s.
             acceleration: Acceleration in rad/s², for changes of speed and for braking.
             duration: Time until the arm brakes, in seconds.
-            link: See `follow`. The link has no effect for a `duration` up to 0.5 s.
+            link: See `follow`. Without limits of the session, it has no effect for a `duration` up to 0.5 s.
             wait: See `Motions`.
         """
         seconds = check_wait(wait)
@@ -305,7 +307,7 @@ class Motions(StrictAttributes):
             xd: Speed of the tool in m/s, and rotation about the three axes in rad/s, shape (6,).
             acceleration: Acceleration in m/s².
             duration: Time until the arm brakes, in seconds.
-            link: See `follow`. The link has no effect for a `duration` up to 0.5 s.
+            link: See `follow`. Without limits of the session, it has no effect for a `duration` up to 0.5 s.
             wait: See `Motions`.
         """
         seconds = check_wait(wait)
@@ -410,7 +412,7 @@ class Motions(StrictAttributes):
         trajectory.check(model)
         limited = self._limited("follow")
         if limited is not None:
-            limited.check_trajectory(trajectory)
+            limited.check_trajectory(trajectory, begins_slowly=True)
         state = context.state()
         if self.current is None and stands(state.qd_target):
             # Otherwise the start is checked later, when the arm is at rest after the previous motion. Even if the
@@ -420,6 +422,9 @@ class Motions(StrictAttributes):
             following: Following = WaypointServer(trajectory, tolerances, firmware, lookahead_time, gain)
         else:
             timer = ProgramTimer(1.0 / firmware.rate, scaling)
+            if limited is not None:
+                # The start of the program stretches its time. An arm that falls behind exceeds its speed to catch up.
+                timer.restart()
             following = Follower(trajectory, tolerances, servoing, _delay(delay), timer)
         life = context.programs.life("follow")
         motion = Motion(life, lambda: following.progress)
@@ -678,7 +683,8 @@ class Motions(StrictAttributes):
             selection: Six values of 0 or 1, for x, y, z, rx, ry, rz. The arm yields along the axes with the value 1.
             wrench: Forces and torques that the tool exerts on the object, shape (6,), in N and Nm.
             limits: Largest speeds along axes that yield, in m/s and rad/s, and largest deviations along the other axes,
-                in m and rad; shape (6,). The controller enforces these limits.
+                in m and rad; shape (6,). The controller enforces these limits. If the session limits the speed of the
+                tool, urlink lowers the speeds to it.
             kind: Rotation of the frame, 1 to 3. With 1, the y axis of the frame points from the tool to the origin of
                 the frame. With 2, the frame is not turned. With 3, the x axis of the frame is the direction of the
                 motion in the x-y plane.
@@ -891,11 +897,13 @@ class Motions(StrictAttributes):
         open_link = self._opener(link)
         self._check_speed(name, speeds, acceleration, duration)
         held = self.current
-        if isinstance(held, HeldSpeed) and duration >= UNLED:
+        # In a session with limits, every speed is held over a link, because only then urlink can stop the arm in time.
+        is_watched = context.limits is not None
+        if isinstance(held, HeldSpeed) and (duration >= UNLED or is_watched):
             context.channel.check()
             if held.change(name, speeds, acceleration, duration):
                 return held
-        if duration > UNLED:
+        if duration > UNLED or is_watched:
             return HeldSpeed(context, name, is_tool, speeds, acceleration, duration, open_link)
         # If a speed follows another speed, the program requests no start permission. Waiting for a permission would
         # make the arm stutter. If calls came faster than permissions, no call would ever move the arm. Even if the
@@ -920,19 +928,21 @@ class Motions(StrictAttributes):
         return tuple(min(speed, limits.joint_speed) for speed in speeds)
 
     def _check_speed(self, name: str, speeds: FloatArray, acceleration: float, duration: float) -> None:
-        """Compare a motion at one speed with the limits of the session: its whole way, and its braking distance."""
+        """Refuse a motion at one speed that would certainly exceed a limit of the session.
+
+        The motion is assumed to be as short as possible. While it runs, a `SpeedWatch` keeps the arm within the limits.
+        """
         if self._context.limits is None:
             return
         self._context.limits.allow(name)
         limited = self._context.limited()
         assert limited is not None
-        limited.is_moving = limited.is_moving or self.current is not None
         limited.check_inside()
-        seconds = duration + LATE * limited.cycle + RAMP
+        seconds = max(duration - RAMP, limited.cycle)
         if name == "speed_linear":
-            limited.check_tool_speed(speeds, acceleration, seconds, delays=DELAYS)
+            limited.check_tool_speed(speeds, acceleration, seconds)
         else:
-            limited.check_joint_speed(speeds, acceleration, seconds, delays=DELAYS)
+            limited.check_joint_speed(speeds, acceleration, seconds)
 
     def _limited(self, kind: str) -> LimitedArm | None:
         """Return the arm of a session with limits, at rest in its box; None if the session has no limits.

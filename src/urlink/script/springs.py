@@ -5,10 +5,11 @@ with `springs_of_joints.script` or `springs_of_tool.script`, computes torques fo
 is for arms that have only a force sensor. In each, `aim.script` follows the targets, and `tool.script` computes the
 place of the tool. The text is inserted into a message loop (`links.message_loop`).
 
-A message contains the target and its number, which identifies a new target and is 0 before the first one. If the
-command is `GAINS`, the message contains the stiffness of each axis in thousands, and its damping ratio. If it is
-`POSTURE`, the message contains joint positions and the number of their target. The programs compute with whole lists.
-Every firmware that has ``direct_torque`` can do this, and so can other firmware since 5.10.
+A message contains the target, its number, which identifies a new target and is 0 before the first one, and the shortest
+duration of the movement to it, in s. If the command is `GAINS`, the message contains the stiffness of each axis in
+thousands, and its damping ratio. If it is `POSTURE`, the message contains joint positions and the number of their
+target. The programs compute with whole lists. Every firmware that has ``direct_torque`` can do this, and so can other
+firmware since 5.10.
 """
 
 from __future__ import annotations
@@ -25,9 +26,9 @@ from .text import indented, number, vector
 #: Commands in addition to `STOP`, `FOLLOW` and `WAIT`: set the gains, or the posture.
 GAINS, POSTURE = -1, -2
 #: Fractions of the largest speed: above the first one, a joint is braked; the second one is the maximum for the aim.
-TOP, _RAMP = 0.9, 0.7
+TOP, RAMP = 0.9, 0.7
 #: Maximum duration of the movement to a new target, in s, if the joints may be that fast.
-_LONGEST = 0.25
+LONGEST = 0.25
 #: Rate of the critically damped second-order filter that makes the aim follow its ramp, in 1/s.
 _ROUNDING = 40.0
 #: Time, in s, after which two thirds of a change of the gains have taken effect.
@@ -203,7 +204,7 @@ def _led(
           take_gains(goal, speed)
 {indented(received)}
         else:
-          take_target(goal, speed[0])
+          take_target(goal, speed[0], speed[1])
         end
         missed = 0
         {call}
@@ -241,8 +242,8 @@ def _aim(
         "aim",
         stiffness=vector(stiffness),
         damping=vector(damping),
-        ramp_speed=vector([_RAMP * each * cycle for each in speed]),
-        longest=number(_LONGEST * firmware.rate),
+        ramp_speed=vector([RAMP * each * cycle for each in speed]),
+        longest=number(LONGEST * firmware.rate),
         pull=number(_ROUNDING**2 * cycle),
         drag=number(2.0 * _ROUNDING * cycle),
         cycle=number(cycle),

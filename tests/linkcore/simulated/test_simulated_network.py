@@ -13,6 +13,8 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -529,3 +531,54 @@ def test_receive_buffer_makes_no_bytes_of_a_single_packet() -> None:
     buffer.put(packet)
     assert buffer.take_deferred(65536) is packet
     assert (packet.made, len(buffer)) == (0, 0)
+
+
+def passed_on(sim: Simulation, robot: Computer, before: Callable[[socket.socket], object] = lambda link: None) -> Any:
+    """Send a packet from a robot by `End.pass_on`; return the result, the received bytes and the time it took."""
+    found: list[Any] = []
+
+    def talk(link: Any) -> None:
+        def pass_on() -> None:
+            begun = sim.now
+            found.extend((link._end.pass_on(Late(b"packet")), sim.now - begun))
+
+        time.sleep(0.5)
+        before(link)
+        sim.at(0.8, pass_on)
+        time.sleep(2.0)
+
+    thread = serve(sim, robot, talk)
+    with socket.create_connection(("robot", PORT), timeout=1.0) as link:
+        link.settimeout(3.0)
+        data = b"".join(iter(partial(link.recv, 100), b""))
+    thread.join()
+    return found[0], data, found[1]
+
+
+def test_packet_is_passed_on_while_nothing_else_happens(sim: Simulation, robot: Computer) -> None:
+    is_sent, data, seconds = passed_on(sim, robot)
+    assert (is_sent, data) == (True, b"packet")
+    assert seconds == pytest.approx(0.001, abs=1e-4)
+
+
+@pytest.mark.parametrize("reason", ["something is due", "unacknowledged", "silent", "suspended", "closing"])
+def test_packet_is_not_passed_on_while_something_can_happen(sim: Simulation, robot: Computer, reason: str) -> None:
+    def disturb(link: socket.socket) -> None:
+        if reason == "something is due":
+            sim.at(0.8005, lambda: None)
+        elif reason == "unacknowledged":
+            sim.at(0.79, lambda: sim.network.silence(robot, sim.here))
+            sim.at(0.795, lambda: link.send(b"first"))
+            sim.at(0.9, lambda: sim.network.mend(robot, sim.here))
+        elif reason == "silent":
+            sim.at(0.79, lambda: sim.network.silence(robot, sim.here))
+            sim.at(0.9, lambda: sim.network.mend(robot, sim.here))
+        elif reason == "suspended":
+            sim.at(0.79, sim.here.suspend)
+            sim.at(0.9, sim.here.resume)
+        else:
+            sim.at(0.79, lambda: link.shutdown(socket.SHUT_WR))
+
+    is_sent, data, seconds = passed_on(sim, robot, disturb)
+    assert (is_sent, seconds) == (False, 0.0)
+    assert data == (b"first" if reason == "unacknowledged" else b"")

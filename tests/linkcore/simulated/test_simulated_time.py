@@ -659,6 +659,49 @@ def test_suspended_computer_makes_no_progress() -> None:
         assert seen == [1, 2, 3, 7.25, 8.25, 9.25, 10.25, 11.25, 12.25, 13.25]
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_scheduled_call_waits_while_computers_are_suspended(seed: int) -> None:
+    with simulated_time(seed, limit=60.0) as sim:
+        other = sim.computer("other", "192.168.0.2")
+        is_done, calls = threading.Event(), []
+
+        def tick() -> None:
+            while not is_done.wait(0.01):
+                pass
+
+        def call() -> None:
+            time.sleep(1.0)
+            calls.append((round(sim.now, 3), threading.current_thread().name))
+            is_done.set()
+
+        with sim.on(other):
+            thread = threading.Thread(target=tick)
+            thread.start()
+            sim.at(2.0, call)
+        # The call begins before one computer is suspended, and while the other one is.
+        sim.at(1.5, sim.here.suspend)
+        sim.at(2.5, other.suspend)
+        sim.at(4.0, other.resume)
+        sim.at(4.5, sim.here.resume)
+        assert is_done.wait(30.0)
+        thread.join()
+        assert calls == [(3.0, "call at 2 s")]
+        assert sim.now == pytest.approx(4.5, abs=0.02)
+        assert sim.threads == []
+
+
+def test_error_of_a_scheduled_call_is_raised_in_the_block() -> None:
+    def fail() -> None:
+        time.sleep(0.5)
+        raise ValueError("wrong")
+
+    with simulated_time() as sim:
+        sim.at(1.0, fail)
+        with pytest.raises(ValueError, match="wrong"):
+            time.sleep(60.0)
+        assert sim.now == pytest.approx(1.5, abs=1e-3)
+
+
 def test_schedule_executes_named_faults_in_order() -> None:
     with simulated_time() as sim:
         robot = sim.computer("robot", "192.168.0.2")

@@ -331,6 +331,7 @@ def _floor() -> World:
 
 
 @pytest.mark.slow
+@pytest.mark.matrix(2)
 @pytest.mark.parametrize("dialect", DIALECTS)
 def test_mission_follows_a_line_and_measures_a_distance(broker: int, dialect: str) -> None:
     world = _floor()

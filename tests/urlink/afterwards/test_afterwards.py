@@ -17,6 +17,7 @@ import pytest
 
 from linkcore.simulated import simulated_time
 from tests import platforms
+from tests.matrix import IS_WHOLE
 from tests.urlink.afterwards.rigs import TIMEOUT, Processes, Rig, Simulated
 from tests.urlink.afterwards.table import (
     BACK,
@@ -40,7 +41,6 @@ LONGER = 0.5
 RESTS = 0.1
 #: Largest movement of an undone call, in rad and in counts of the gripper.
 BEGUN = 0.1, 60
-IS_WHOLE = os.environ.get("HYPOTHESIS_PROFILE") == "fuzz"
 
 
 # -- events ---------------------------------------------------------------------------------------------------------

@@ -193,6 +193,17 @@ def test_stale_report_refuses_motions_but_ends_none() -> None:
     assert interlock.refusal_to_begin(late) is None
 
 
+def test_renewed_report_is_recent() -> None:
+    interlock = Interlock(stale_after=0.5)
+    interlock.report("primary", Status(RobotMode.RUNNING, SafetyMode.NORMAL), 10.0)
+    interlock.renew("primary", 11.0)
+    interlock.renew("realtime", 11.0)  # it has not reported yet
+    assert interlock.is_clear
+    assert interlock.blocked(11.4) is None
+    assert isinstance(interlock.blocked(11.6), NotRunning)
+    assert not interlock.is_expected("realtime")
+
+
 def test_silence_reported_by_reader_ends_motions_once() -> None:
     interlock = Interlock("always", stale_after=0.5)
     assert interlock.fall_silent("primary", 0.5) is None  # not subscribed yet

@@ -79,7 +79,7 @@ class Standing:
         self._on_subscribe = on_subscribe
         self.closed = 0
 
-    def subscribe_inline(self, kind: type, callback: Callable[[Any], object]) -> None:
+    def subscribe_inline(self, kind: type, callback: Callable[[Any], object], **options: Any) -> None:
         self._on_subscribe()
 
     def claim(self, names: tuple[str, ...]) -> None:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from tests.fakes.line import FIRMWARE, STARTED, STOPPED, Programming, Run
+from tests.fakes.world import NotedSensors
 from urlink.protocol.firmware import Firmware
 from urlink.protocol.primary.robot_message import TextMessage
 from urlink.simulator.registers import RegisterBanks
@@ -71,7 +72,7 @@ class Clients(RuleBasedStateMachine):
             motion=motion,
             sockets=SimpleNamespace(close_all=lambda: None),
             text_message=self.text_message,
-            q_actual=(0.0,) * 6,
+            sensors=NotedSensors((0.0,) * 6),
         )
         return Execution(compile_script(text, Firmware.parse(self.firmware)), cast(ScriptWorld, world))
 

@@ -9,6 +9,7 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from tests.fakes.rehearsal import HOME
+from tests.fakes.world import NotedSensors
 from urlink.arm.kinematics import Arm
 from urlink.arm.models import model
 from urlink.motion.moves.speed_limit import largest_speeds
@@ -92,6 +93,10 @@ class Bench:
     @property
     def q_actual(self) -> Sequence[float]:
         return self.motion.setpoint.q
+
+    @property
+    def sensors(self) -> NotedSensors:
+        return NotedSensors(tuple(self.q_actual))
 
     @property
     def q_target(self) -> Sequence[float]:

@@ -43,6 +43,7 @@ class Admittance(SoftTool):
 
 
 @pytest.mark.slow
+@pytest.mark.matrix(3)
 @pytest.mark.parametrize(("axis", "in_tool"), [(axis, bool(axis % 2)) for axis in range(6)])
 def test_displacement_of_tool_is_force_divided_by_stiffness(axis: int, in_tool: bool) -> None:
     soft = Admittance(in_tool=in_tool)

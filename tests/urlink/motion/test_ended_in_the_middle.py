@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -21,6 +20,7 @@ import urlink
 from linkcore.errors import Cancelled, ConnectionLost, LinkError
 from linkcore.handle import Motion, Phase
 from linkcore.wire.fields import Since
+from tests.matrix import IS_WHOLE
 from tests.waiting import until
 from urlink import Joint, Linear, Taught
 from urlink.errors import NotRunning, SafetyStop
@@ -329,10 +329,9 @@ ENDS = {each.__name__: each for each in (cancel, leave, protective_stop, emergen
 
 def table() -> Iterator[tuple[str, str, str]]:
     """Generate (firmware, mode, end)."""
-    is_whole = os.environ.get("HYPOTHESIS_PROFILE") == "fuzz"
     for (row, (name, mode)), (column, end) in itertools.product(enumerate(MODES.items()), enumerate(ENDS)):
         having = [firmware for firmware in GENERATIONS if Firmware.parse(firmware) in mode.since]
-        for firmware in having if is_whole else [having[(row + column) % len(having)]]:
+        for firmware in having if IS_WHOLE else [having[(row + column) % len(having)]]:
             yield firmware, name, end
 
 

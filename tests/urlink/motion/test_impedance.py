@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.matrix import trials
 from tests.urlink.motion.test_force_control_programs import LINK, Bench
 from tests.urlink.simulator.test_impedance import HORIZONTAL
 from tests.urlink.simulator.test_impedance import program as circle
@@ -122,6 +123,7 @@ def turned(q: FloatArray, angle: float) -> FloatArray:
 
 
 @pytest.mark.slow
+@pytest.mark.matrix(3)
 @pytest.mark.parametrize("axis", range(6))
 def test_displacement_of_joints_is_torque_divided_by_stiffness(axis: int) -> None:
     soft = Soft()
@@ -533,7 +535,7 @@ class World:
 
 @pytest.mark.slow
 @pytest.mark.property
-@settings(max_examples=max(settings.default.max_examples // 2, 20) if settings.default else 20)
+@settings(max_examples=trials(5, 1000))
 @given(st.integers(0, 2**31))
 def test_energy_never_grows_without_external_work(seed: int) -> None:
     world = World(seed)

@@ -34,7 +34,7 @@ def sent(messages: _Messages, count: int = 100) -> list[tuple[list[float], list[
 def test_gains_and_posture_are_repeated_among_targets() -> None:
     """A message might be lost, because a register holds only the newest one."""
     messages = made()
-    messages.lead([0.3] * 6, READY)
+    messages.lead([0.3] * 6, READY, 0.0)
     written = sent(messages)
     kinds = [mode for *_, mode in written]
     assert [kinds.count(mode) for mode in (FOLLOW, GAINS, POSTURE)] == pytest.approx([75, 12, 12], abs=2)
@@ -49,7 +49,7 @@ def test_gains_without_posture_are_sent_among_targets(has_posture: bool) -> None
     """There is no posture before the first target, or if the program does not support one."""
     messages = made(has_posture=has_posture)
     if not has_posture:
-        messages.lead([0.3] * 6, READY)
+        messages.lead([0.3] * 6, READY, 0.0)
     kinds = [mode for *_, mode in sent(messages)]
     assert [kinds.count(mode) for mode in (FOLLOW, GAINS)] == pytest.approx([75, 25], abs=2)
 
@@ -61,7 +61,7 @@ def test_targets_are_numbered_from_one_to_a_thousand() -> None:
     numbers = {second[0] for _, second, mode in sent(messages) if mode == FOLLOW}
     assert numbers == {0.0}
     for count in range(1, 1003):
-        messages.lead([count / 1000.0] * 6, None)
+        messages.lead([count / 1000.0] * 6, None, 0.0)
         assert messages.target == [count / 1000.0] * 6
         written = next(each for each in sent(messages, 3) if each[2] == FOLLOW)
         assert written[1][0] == (count - 1) % 1000 + 1

@@ -260,7 +260,7 @@ class TestHeldSpeeds:
 
 
 def test_held_speed_ends_after_duration() -> None:
-    holding = _Holding(nullcontext(), lambda link: [], np.array([0.3] * 6), 0.5)
+    holding = _Holding(nullcontext(), lambda link: [], np.array([0.3] * 6), 0.5, None)
     state = cast(RealtimeState, None)
     for now, is_over in ((10.0, False), (10.25, False), (10.499, False), (10.5, True)):
         assert read_message(holding.step(b"", state, now))[0] == [0.3] * 6
@@ -270,7 +270,7 @@ def test_held_speed_ends_after_duration() -> None:
 
 
 def test_changed_speed_restarts_duration() -> None:
-    holding = _Holding(nullcontext(), lambda link: [], np.array([0.3] * 6), 0.5)
+    holding = _Holding(nullcontext(), lambda link: [], np.array([0.3] * 6), 0.5, None)
     state = cast(RealtimeState, None)
     assert holding.part(9.0) == 0.0
     assert holding.change(np.array([0.3] * 6), 0.5) is True

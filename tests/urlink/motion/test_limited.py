@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -56,6 +57,20 @@ def sent(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return names
 
 
+class Fastest:
+    """Largest speeds of the arm since this object was made: of the tool in m/s, and of a joint in rad/s."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._arm = robot.kinematics
+        self.tool = self.joint = 0.0
+        robot.realtime.subscribe(self._look, inline=True)
+
+    def _look(self, state: urlink.packets.RealtimeState) -> None:
+        velocity = self._arm.velocity(state.q_target, state.qd_target)
+        self.tool = max(self.tool, float(np.linalg.norm(velocity[:3])))
+        self.joint = max(self.joint, float(np.abs(state.qd_target).max()))
+
+
 def pose(robot: Robot, **change: float) -> list[float]:
     """Return the pose of the tool, changed along the axes x, y and z by numbers in m."""
     values: list[float] = robot.realtime.wait().tool_vector_actual.tolist()
@@ -85,7 +100,7 @@ BEYOND: dict[str, list[Callable[[Robot], object]]] = {
         lambda robot: robot.motion.move_linear(pose(robot, x=0.1), speed=0.3, acceleration=2.0),
         lambda robot: robot.motion.move_joints(at(0.3, 0, 0, 0, 0, 0), speed=0.9),
         lambda robot: robot.motion.move_joints(at(0.3, 0, 0, 0, 0, 0), time=0.5),
-        lambda robot: robot.motion.speed_linear([0.2, 0.2, 0, 0, 0, 0], duration=0.2),
+        lambda robot: robot.motion.speed_linear([0.2, 0.2, 0, 0, 0, 0], duration=0.5),
         lambda robot: robot.motion.follow(Trajectory.from_arrays([0, 0.4], [READY, at(0.2, 0, 0, 0, 0, 0)])),
     ],
     "joint_speed": [
@@ -215,8 +230,6 @@ def test_jog_stops_within_the_box() -> None:
 
 def test_force_mode_ends_before_the_box_ends() -> None:
     with limited("sim://ur5e?firmware=5.11", allowed=KINDS) as robot:
-        with pytest.raises(LimitExceeded, match="tool would move"):
-            robot.motion.force_mode("base", [1, 1, 0, 0, 0, 0], [0.0] * 6, [0.2] * 6)
         robot.zero_force_sensor()
         with (
             robot.motion.force_mode("base", [0, 0, 1, 0, 0, 0], [0, 0, 30, 0, 0, 0], [0.1] * 6) as pressing,
@@ -225,6 +238,76 @@ def test_force_mode_ends_before_the_box_ends() -> None:
             pressing.wait(TIMEOUT)
         robot.realtime.wait_until(lambda state: not state.qd_target.any(), TIMEOUT)
         assert 0.36 < robot.realtime.wait().tool_vector_actual[2] < BOX[1][2]
+
+
+def test_force_mode_is_as_slow_as_the_session() -> None:
+    with limited("sim://ur5e?firmware=5.11", allowed=KINDS, tool_speed=0.05) as robot:
+        robot.zero_force_sensor()
+        fastest = Fastest(robot)
+        push = [-60, -60, 0, 0, 0, 0]
+        with (
+            robot.motion.force_mode("base", [1, 1, 0, 0, 0, 0], push, [0.2] * 6) as pressing,
+            pytest.raises(urlink.LinkTimeout),
+        ):
+            pressing.wait(1.5)
+        assert 0.04 < fastest.tool < 0.05
+
+
+def is_near(q: FloatArray, state: urlink.packets.RealtimeState) -> bool:
+    """Whether the arm is near these positions of the joints."""
+    return bool(np.abs(state.q_actual - q).max() < 0.05)
+
+
+def test_impedance_is_as_slow_as_the_session() -> None:
+    with limited("sim://ur5e?firmware=5.25", allowed=KINDS, joint_speed=0.3) as robot:
+        fastest = Fastest(robot)
+        with robot.motion.impedance(speed=2.0) as soft:
+            # The base would move the tool at more than 0.25 m/s.
+            for q in (at(0, 0, 0, 0, 0, 0.6), at(0.3, 0, 0, 0, 0, 0.6), READY):
+                soft.send(q)
+                robot.realtime.wait_until(partial(is_near, q), TIMEOUT)
+            with pytest.raises(LimitExceeded, match="box"):
+                soft.send(at(1.2, 0, 0, 0, 0, 0))
+        assert 0.1 < fastest.tool < 0.25
+        assert 0.15 < fastest.joint < 0.3
+
+
+def test_jog_brakes_at_the_box_and_moves_back() -> None:
+    with limited() as robot, robot.motion.jog("base", timeout=60.0) as jog:
+        jog.move([0, 0, 0.1, 0, 0, 0])
+        robot.realtime.wait_until(lambda state: jog.limit is not None and not state.qd_target.any(), TIMEOUT)
+        reached = jog.limit
+        assert reached is not None
+        assert reached.limit == "box"
+        z = float(robot.realtime.wait().tool_vector_actual[2])
+        # The watch brakes as late as it can: the arm rests less than 1 cm below the face.
+        assert BOX[1][2] - 0.01 < z < BOX[1][2]
+
+        def creep() -> None:
+            while True:  # each call moves the arm closer to the face
+                jog.move([0, 0, 0.1, 0, 0, 0])
+                robot.realtime.wait_until(lambda state: jog.limit is not None and not state.qd_target.any(), TIMEOUT)
+
+        with pytest.raises(LimitExceeded, match="z = "):
+            creep()
+        assert robot.realtime.wait().tool_vector_actual[2] < BOX[1][2]
+        jog.move([0, 0, -0.1, 0, 0, 0])
+        assert jog.limit is None
+        robot.realtime.wait_until(lambda state: state.tool_vector_actual[2] < z - 0.05, TIMEOUT)
+
+
+@pytest.mark.parametrize(("kind", "speeds"), [("speed_linear", [0, 0, 0.1]), ("speed_joints", [0, -0.2, 0])])
+def test_speed_ends_with_error_before_the_box_ends(kind: str, speeds: list[float]) -> None:
+    with limited() as robot:
+
+        def lift_on() -> None:
+            while True:
+                getattr(robot.motion, kind)([*speeds, 0, 0, 0], duration=0.3, wait=TIMEOUT)
+
+        with pytest.raises(LimitExceeded, match="z = "):
+            lift_on()
+        robot.realtime.wait_until(lambda state: not state.qd_target.any(), TIMEOUT)
+        assert BOX[1][2] - 0.03 < robot.realtime.wait().tool_vector_actual[2] < BOX[1][2]
 
 
 def test_listed_calls_are_sent_without_a_check() -> None:
@@ -256,19 +339,27 @@ def test_group_compares_the_trajectory_of_each_arm() -> None:
         group.move_joints([at(0, 0, 0, 0, 0, 0.2), q], speed=0.2).wait(TIMEOUT)
 
 
-def test_follow_counts_the_overshoot_of_a_sudden_acceleration() -> None:
+def test_until_contact_counts_the_start_of_its_program() -> None:
+    with limited("sim://ur5e?firmware=5.11") as robot:
+        # Without the start of the program, the tool would come to rest 5 mm below the face, and with it 6 mm above.
+        speed, acceleration = 0.2, 0.5
+        distance = BOX[1][2] - pose(robot)[2] - speed**2 / acceleration - 0.01
+        with pytest.raises(LimitExceeded, match="z = "):
+            robot.motion.until_contact([0, 0, 1], speed, acceleration=acceleration, distance=distance)
+        robot.motion.until_contact([0, 0, 1], speed, acceleration=acceleration, distance=distance - 0.01)
+        robot.motion.stop(wait=TIMEOUT)
+
+
+def test_follow_stays_below_limit_after_sudden_acceleration() -> None:
+    # Wrist 3 turns at 0.97 rad/s after 0.1 s, and the limit is 1 rad/s. An arm that falls behind would be faster.
+    times = np.array([0.0, 0.1, 1.1, 1.2])
+    turned = 0.97 * np.array([0.0, 0.05, 1.05, 1.1])
+    speeds = np.outer([0.0, 0.97, 0.97, 0.0], np.eye(6)[5])
+    trajectory = Trajectory.from_arrays(times, READY + np.outer(turned, np.eye(6)[5]), speeds)
     with limited() as robot:
-        # Wrist 3 turns at 0.9 rad/s, and the limit is 1 rad/s.
-        for rise, is_refused in ((0.1, True), (1.0, False)):
-            times = np.array([0.0, rise, rise + 1.0, 2 * rise + 1.0])
-            turned = 0.9 * np.array([0.0, 0.5 * rise, 0.5 * rise + 1.0, rise + 1.0])
-            speeds = np.outer([0.0, 0.9, 0.9, 0.0], np.eye(6)[5])
-            trajectory = Trajectory.from_arrays(times, READY + np.outer(turned, np.eye(6)[5]), speeds)
-            if is_refused:
-                with pytest.raises(LimitExceeded, match="joint"):
-                    robot.motion.follow(trajectory)
-            else:
-                robot.motion.follow(trajectory).wait(TIMEOUT)
+        fastest = Fastest(robot)
+        robot.motion.follow(trajectory).wait(TIMEOUT)
+        assert 0.95 < fastest.joint < 1.0
 
 
 def test_connect_async_takes_limits() -> None:

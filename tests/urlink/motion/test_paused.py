@@ -152,6 +152,27 @@ def test_controller_motion_ends_if_arm_is_jogged_away(
     assert moved_after(one, lambda: one.controller.call(pendant.play)) < REST
 
 
+def test_states_arrive_while_the_stop_cannot_be_sent(
+    cell: Callable[[str, str], Cell], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = cell("UR5", "3.15")
+    pendant, robot = one.controller.pendant, one.robot
+    motion = robot.motion.move_joints([*READY[:5], 1.0], 0.5)
+    time.sleep(1.0)
+    pressed(one, pendant.pause)
+    here = comes_to_rest(one)
+    # The transport of the program texts accepts nothing, as if the controller did not read.
+    transport = robot.primary._connection
+    monkeypatch.setattr(transport, "send_some", lambda data: 0)
+    monkeypatch.setattr(transport, "wait_for_room", time.sleep)
+    arrivals: list[float] = []
+    robot.realtime.subscribe(lambda state: arrivals.append(time.monotonic()), inline=True)
+    pressed(one, lambda: pendant.jog([*here[:5], here[5] - 0.3]))
+    with pytest.raises(ToleranceExceeded):
+        motion.wait(TIMEOUT)
+    assert np.diff(arrivals).max() < 0.1
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["move_joints", "path"])
 def test_controller_motion_resumes_after_pause(cell: Callable[[str, str], Cell], how: str) -> None:

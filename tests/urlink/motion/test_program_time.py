@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import threading
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import cast
@@ -135,34 +136,78 @@ def test_pause_ignores_the_position_until_the_arm_is_at_rest() -> None:
     assert not pause.look(arm(0.9, program=PLAYING))
 
 
+class Watched:
+    """Motion whose states are passed to the look of `end_where_moved` by the test, in its own thread.
+
+    Attributes:
+        closed: Arguments of the calls that close the subscription.
+    """
+
+    def __init__(self, brake: Callable[[], object]) -> None:
+        self.closed: list[float] = []
+        self.life = Lifecycle("a motion", Desk().callbacks)
+        self.life.brake = brake
+        self.life.begin()
+        connection = SimpleNamespace(subscribe_inline=self._subscribe)
+        end_where_moved(self.life, cast("Stream[RealtimeState]", SimpleNamespace(_connection=connection)))
+
+    def _subscribe(self, kind: type, look: Callable[[RealtimeState], None], only_changes: Callable[[], bool]) -> object:
+        assert kind is RealtimeState
+        self.look, self.needs_only_changes = look, only_changes
+        return SimpleNamespace(close=self.closed.append)
+
+
+@pytest.mark.simulated_time
 @pytest.mark.parametrize(("moved", "is_ended"), [(0.0499, False), (0.0501, True)])
 def test_controller_motion_ends_when_arm_is_moved(moved: float, is_ended: bool) -> None:
     """Stop the program before it resumes."""
-    looks: list[Callable[[RealtimeState], None]] = []
-    needs: list[Callable[[], bool]] = []
-    closed: list[float] = []
     braked: list[int] = []
-    subscription = SimpleNamespace(close=closed.append)
+    motion = Watched(lambda: braked.append(1))
+    motion.look(arm(0.1, 1.0, PLAYING))
+    assert motion.needs_only_changes()
+    motion.look(arm(0.5))
+    assert not motion.needs_only_changes()
+    motion.look(arm(0.5 + moved))
+    if is_ended:
+        assert isinstance(motion.life.future.exception(60.0), ToleranceExceeded)
+    assert motion.life.is_over is is_ended
+    assert (braked, motion.closed) == (([1], [0]) if is_ended else ([], []))
+    motion.life.finish()
+    assert motion.closed == [0]
 
-    def subscribe(kind: type, look: Callable[[RealtimeState], None], only_changes: Callable[[], bool]) -> object:
-        assert kind is RealtimeState
-        looks.append(look)
-        needs.append(only_changes)
-        return subscription
 
-    life = Lifecycle("a motion", Desk().callbacks)
-    life.brake = lambda: braked.append(1)
-    life.begin()
-    connection = SimpleNamespace(subscribe_inline=subscribe)
-    end_where_moved(life, cast("Stream[RealtimeState]", SimpleNamespace(_connection=connection)))
-    (look,), (needs_only_changes,) = looks, needs
-    look(arm(0.1, 1.0, PLAYING))
-    assert needs_only_changes()
-    look(arm(0.5))
-    assert not needs_only_changes()
-    look(arm(0.5 + moved))
-    assert life.is_over is is_ended
-    assert isinstance(life.error, ToleranceExceeded if is_ended else type(None))
-    assert (braked, closed) == (([1], [0]) if is_ended else ([], []))
-    life.finish()
-    assert closed == [0]
+@pytest.mark.simulated_time
+def test_reader_receives_states_while_the_stop_is_sent() -> None:
+    is_sending, has_room = threading.Event(), threading.Event()
+    stops: list[str] = []
+
+    def brake() -> None:
+        stops.append(threading.current_thread().name)
+        is_sending.set()
+        assert has_room.wait(60.0)
+
+    motion = Watched(brake)
+    motion.look(arm(0.5))
+    motion.look(arm(0.6))
+    assert is_sending.wait(60.0)
+    # Further states arrive meanwhile; they end nothing again.
+    motion.look(arm(0.6))
+    motion.look(arm(0.6, program=PLAYING))
+    assert not motion.life.future.done()
+    has_room.set()
+    assert isinstance(motion.life.future.exception(60.0), ToleranceExceeded)
+    assert stops == ["a motion stop"]
+
+
+@pytest.mark.simulated_time
+def test_stop_is_sent_by_reader_when_no_thread_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(thread: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    stops: list[str] = []
+    motion = Watched(lambda: stops.append(threading.current_thread().name))
+    motion.look(arm(0.5))
+    monkeypatch.setattr(threading.Thread, "start", refuse)
+    motion.look(arm(0.6))
+    assert motion.life.is_over
+    assert stops == [threading.current_thread().name]

@@ -199,6 +199,7 @@ def test_slider_effect_is_measured_for_each_motion() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.matrix(2)
 @pytest.mark.parametrize("name", WAYS)
 def test_slider_effect_matches_declaration(name: str) -> None:
     effect = EFFECTS[name][1]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable
 from typing import Any
 
@@ -12,6 +11,7 @@ import pytest
 
 from linkcore.errors import BadValue, Cancelled
 from tests.fakes.rehearsal import HOME, turned
+from tests.matrix import trials
 from tests.urlink.motion.streamed import ACCELERATION, JERK, Streamed
 from urlink.arm.kinematics import Arm, Unreachable
 from urlink.arm.vectors import FloatArray
@@ -436,7 +436,7 @@ def random_points(rng: np.random.Generator, count: int, q: FloatArray) -> list[T
 
 @pytest.mark.slow
 @pytest.mark.matrix
-@pytest.mark.parametrize("seed", range(1000 if os.environ.get("HYPOTHESIS_PROFILE") == "fuzz" else 8))
+@pytest.mark.parametrize("seed", range(trials(8, 1000)))
 def test_stream_starves_at_every_point_and_continues(seed: int) -> None:
     """The arm comes to rest within the limits after each point, and continues with the next one over the same link."""
     rng = np.random.default_rng(seed)

@@ -92,6 +92,7 @@ class SoftTool(Soft):
 
 
 @pytest.mark.slow
+@pytest.mark.matrix(3)
 @pytest.mark.parametrize(("axis", "in_tool"), [(axis, bool(axis % 2)) for axis in range(6)])
 def test_displacement_of_tool_is_force_divided_by_stiffness(axis: int, in_tool: bool) -> None:
     stiffness = [500.0, 400.0, 700.0, 30.0, 25.0, 40.0]

@@ -210,11 +210,11 @@ def test_servo_misses_no_state_during_serial_traffic(robot: urlink.Robot) -> Non
         with robot.motion.servo() as servo:
             q = robot.realtime.wait().q_target
             thread.start()
-            for step in range(500):
+            for step in range(200):
                 servo.send(q + 0.0002 * step)
                 robot.realtime.wait()
         over.set()
         thread.join()
         stats = robot.realtime.stats
-    assert len(asked) > 100
+    assert len(asked) > 40
     assert (stats.missed, stats.failed, servo.phase.name) == (0, 0, "DONE")

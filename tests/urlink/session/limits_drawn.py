@@ -6,6 +6,10 @@ Each command is drawn by a seed, and sent over a connection with limits. If it i
 the same position over a connection without limits. So the report tells for every kind how many commands the arm could
 have executed within the limits, how many of them were accepted, and how many accepted commands have left the limits.
 The limits are compared with the targets of the simulated arm in every cycle of its controller.
+
+Some commands consist of several calls, such as the points of a stream and their replacement. If a call is refused, the
+connection without limits makes the calls up to this one, because a later call must not make an earlier one harmless. A
+motion that is stopped at a limit while it runs counts as refused.
 """
 
 from __future__ import annotations
@@ -46,6 +50,8 @@ READY = np.array([0.0, -1.6, 1.9, -1.9, -1.57, 0.0])
 TIMEOUT = 120.0
 #: Commands in one simulated world, and arms by their firmware.
 _CHUNK, _ARMS = 20, (("ur5", "3.15"),) * 9 + (("ur5e", "5.11"),)
+#: Time in s within which springs pull the arm to a target.
+_ARRIVING = 10.0
 #: First firmware with direct torque, for impedances of the joints.
 _TORQUE = ("ur5e", "5.25")
 
@@ -124,6 +130,8 @@ class Bench:
         self.arm: Arm = free.kinematics
         self.rows: list[tuple[FloatArray, FloatArray]] = []
         self.cycle = 1.0 / free.firmware.rate
+        #: number of calls that the command has made, and that it may make
+        self._made, self._wanted = 0, np.inf
         free.realtime.subscribe(lambda state: self.rows.append((state.q_target, state.qd_target)), inline=True)
         free.realtime.wait()
 
@@ -151,9 +159,27 @@ class Bench:
         self.free.motion.move_joints(q, speed=3.0, acceleration=15.0).wait(TIMEOUT)
         self.rest()
 
+    def begins_call(self) -> bool:
+        """Return whether the command makes its next call: not after the call that was refused with limits."""
+        if self._made >= self._wanted:
+            return False
+        self._made += 1
+        return True
+
+    @property
+    def was_refused(self) -> bool:
+        """Whether a call of this command was refused over the connection with limits."""
+        return self._wanted < np.inf
+
     def run(self, command: Command, robot: Robot) -> Seen | LimitExceeded:
-        """Execute a command; return what the arm did, or the refusal if nothing was sent."""
+        """Execute a command; return what the arm did, or the refusal if it was refused or stopped at a limit.
+
+        Over the connection without limits, the command ends after the call that was refused.
+        """
         self.robot = robot
+        self._made = 0
+        if robot is self.limited:
+            self._wanted = np.inf
         newest = self.free.realtime.latest
         assert newest is not None
         self.rows[:] = [(newest.q_target, newest.qd_target)]
@@ -163,6 +189,7 @@ class Bench:
             command(self)
         except LimitExceeded as exceeded:
             refusal = exceeded
+            self._wanted = max(self._made, 1)
         except LinkError as failed:
             error = f"{type(failed).__name__}: {failed}"
         self.rest()
@@ -272,22 +299,24 @@ def speed_joints(bench: Bench) -> Command:
     qd = bench.rng.normal(size=6) * bench.log(0.03, 0.6)
     duration, acceleration = bench.log(0.1, 1.5), bench.log(0.5, 4.0)
 
-    return lambda on: _continued(lambda: on.motion.speed_joints(qd, acceleration, duration=duration), duration)
+    return lambda on: _continued(on, lambda: on.motion.speed_joints(qd, acceleration, duration=duration), duration)
 
 
 def speed_linear(bench: Bench) -> Command:
     xd = np.concatenate([bench.way(bench.log(0.02, 0.4)), bench.rng.normal(size=3) * 0.1])
     duration, acceleration = bench.log(0.1, 1.5), bench.log(0.3, 3.0)
 
-    return lambda on: _continued(lambda: on.motion.speed_linear(xd, acceleration, duration=duration), duration)
+    return lambda on: _continued(on, lambda: on.motion.speed_linear(xd, acceleration, duration=duration), duration)
 
 
-def _continued(start: Callable[[], Motion], duration: float) -> None:
+def _continued(on: Bench, start: Callable[[], Motion], duration: float) -> None:
     """Start a motion at one speed. Start it again before a short speed has expired."""
+    on.begins_call()
     motion = start()
     if duration <= 0.5:
         clock.sleep(0.5 * duration)
-        motion = start()
+        if on.begins_call():
+            motion = start()
     motion.wait(TIMEOUT)
 
 
@@ -315,13 +344,14 @@ def servo(bench: Bench) -> Command:
             with on.motion.servo(
                 target_filter="jerk_limited", speed=speed, acceleration=acceleration, jerk=40.0
             ) as loop:
+                sent = begin
                 for target in targets:
                     if target is not targets[0]:
                         clock.sleep(pause)
-                    loop.send(target)
-                on.robot.realtime.wait_until(
-                    lambda state: bool(np.abs(state.q_target - targets[-1]).max() < 1e-4), TIMEOUT
-                )
+                    if on.begins_call():
+                        loop.send(target)
+                        sent = target
+                on.robot.realtime.wait_until(lambda state: bool(np.abs(state.q_target - sent).max() < 1e-4), TIMEOUT)
 
         return filtered
     seconds = float(np.abs(end - begin).max()) / bench.log(0.2, 0.6) + 0.3
@@ -353,8 +383,9 @@ def stream(bench: Bench) -> Command:
 
     def command(on: Bench) -> None:
         with on.motion.stream() as flow:
+            on.begins_call()
             flow.append(points)
-            if replaced is not None:
+            if replaced is not None and on.begins_call():
                 flow.replace(flow.time + 0.3, replaced)
             flow.wait_until_dry(TIMEOUT)
 
@@ -376,8 +407,12 @@ def jog(bench: Bench) -> Command:
     def command(on: Bench) -> None:
         with on.motion.jog(str(frame), timeout=timeout) as handle:
             for speeds, pause in moves:
+                if not on.begins_call():
+                    break
                 handle.move(speeds)
                 clock.sleep(pause)
+                if handle.limit is not None:
+                    raise handle.limit
 
     return command
 
@@ -417,7 +452,8 @@ def impedance(bench: Bench) -> Command:
         with on.motion.impedance(speed=speed) as soft:
             soft.send(target)
             with contextlib.suppress(urlink.LinkTimeout):
-                soft.wait(seconds)
+                # A target that was refused must not count as harmless because the arm did not arrive in time.
+                soft.wait(_ARRIVING if on.was_refused else seconds)
 
     return command
 

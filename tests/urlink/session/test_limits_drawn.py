@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from tests.matrix import trials
 from tests.urlink.session.limits_drawn import DRAWN, Seen, measured
 from urlink.session.session_limits import WATCHED
 
@@ -19,9 +20,10 @@ def test_drawn_commands_stay_within_the_limits(kind: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.matrix
 @pytest.mark.parametrize("kind", DRAWN)
 def test_many_drawn_commands_stay_within_limits(kind: str) -> None:
-    tally = measured(kind, 45, 0, 20)
+    tally = measured(kind, 45, 0, trials(5, 20))
     assert not tally.escaped, tally.escaped
     # Kinds that depend on forces are refused for what they might do, so some harmless commands are refused too.
     least = 0.7 * tally.inside if kind in WATCHED else tally.inside - 1

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import event, given
 from hypothesis import strategies as st
 
 import urlink
@@ -182,3 +182,132 @@ def test_fault_at_a_simulated_time_does_not_disturb_a_sleep() -> None:
             time.sleep(0.05)
         assert sim.now - begun == pytest.approx(2.0, abs=0.01)
         assert robot.realtime.wait(1.0).safety_mode == SafetyMode.PROTECTIVE_STOP
+
+
+#: Program with joint motions, pauses, outputs, a blend, and the history of the joint positions.
+SCRIPT = """def cell():
+  movej([0.5, -1.4, 1.5, -1.5, -1.6, 0.3], a={a}, v={v})
+  sleep(0.1)
+  set_digital_out(1, True)
+  movej([0.5, -1.2, 1.5, -1.5, -1.6, 0.3], a=3, v=2)
+  old = get_actual_joint_positions_history(7)
+  movej(get_inverse_kin(get_forward_kin()), a=1, v=1)
+  movej([0.2, -1.3, 1.6, -1.5, -1.5, 0.1], a={a}, v={v}, r={r})
+  movej([0, -1.5, 2, -2, -1.57, 0], t=0.7)
+  textmsg(to_str(old))
+end
+"""
+
+
+@pytest.mark.property
+@given(
+    lengths=st.lists(st.integers(1, 64), min_size=1, max_size=40),
+    a=st.floats(0.5, 8.0),
+    v=st.floats(0.1, 3.0),
+    r=st.sampled_from([0.0, 0.05]),
+    slider=st.sampled_from([1.0, 0.4]),
+    firmware=st.sampled_from(["3.15", "5.11", "10.12"]),
+)
+def test_cycles_executed_at_once_send_the_same_bytes(
+    lengths: list[int], a: float, v: float, r: float, slider: float, firmware: str
+) -> None:
+    """Cycles that are executed at once, as arrays, must give the same packets and messages as single cycles."""
+    step_by_step, at_once = (Controller(firmware=firmware, seed=len(lengths)) for _ in range(2))
+    for controller in (step_by_step, at_once):
+        controller.speed_fraction = slider
+        controller.take(SCRIPT.format(a=a, v=v, r=r))
+    packets, count = [], 0
+    for length in lengths * 4:
+        at_once.step()
+        packets.append(at_once.realtime_packet())
+        samples = at_once._control.follow(length)
+        if samples is not None:
+            packets += map(bytes, at_once._realtime.later_packets(samples)[1:])
+            count += len(samples) - 1
+    expected = []
+    for _ in packets:
+        step_by_step.step()
+        expected.append(step_by_step.realtime_packet())
+    assert hashes(packets) == hashes(expected)
+    assert at_once.take_messages() == step_by_step.take_messages()
+    assert at_once.time == step_by_step.time
+    event(f"{count // 100} hundred cycles at once")
+
+
+def test_joint_motion_is_executed_at_once() -> None:
+    controller = Controller(firmware="5.11")
+    controller.take("movej([0.1, -1.5, 1.5, -1.6, -1.6, 0.2], a=1, v=1)\n")
+    controller.step(100)
+    samples = controller._control.follow(50)
+    assert samples is not None
+    assert len(samples) == 51
+    assert samples[50].q_target != samples[0].q_target
+    assert controller.arm.setpoint.q == samples[50].q_target
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "movel(p[-0.5, -0.1, 0.4, 0, 3.1, 0])",
+        "speedj([0.1, 0, 0, 0, 0, 0], 1, 5)",
+        "movej([1, -1.5, 1.5, -1.6, -1.6, 0.2], a=1, v=1, r=0.1)",
+    ],
+)
+def test_other_motions_are_executed_cycle_by_cycle(text: str) -> None:
+    controller = Controller(firmware="5.11")
+    controller.take(f"{text}\n")
+    controller.step(100)
+    assert controller.arm.is_moving
+    assert controller._control.follow(50) is None
+
+
+def test_transition_to_a_joint_motion_is_executed_cycle_by_cycle() -> None:
+    controller = Controller(firmware="5.11")
+    controller.take(
+        "def p():\n  speedj([0.8, 0, 0, 0, 0, 0], 5, 1.5)\n  movej([3.5, -1.5, 1.5, -1.6, -1.6, 0.2])\nend\n"
+    )
+    controller.step(810)
+    assert controller._control.follow(50) is None
+    controller.step(100)
+    assert controller._control.follow(50) is not None
+
+
+def test_program_with_two_threads_runs_cycle_by_cycle() -> None:
+    controller = Controller(firmware="5.11")
+    controller.take(
+        "def p():\n  thread t():\n    while True:\n      sync()\n    end\n  end\n  run t()\n"
+        "  movej([1, -1.5, 1.5, -1.6, -1.6, 0.2])\nend\n"
+    )
+    controller.step(100)
+    assert controller.arm.is_moving
+    assert controller._control.follow(50) is None
+
+
+def test_change_of_the_modes_is_not_steady_when_it_is_sent() -> None:
+    """A packet is steady only if the one that was sent before it shows the same modes."""
+    controller = Controller(firmware="5.11")
+    interface = controller._realtime
+    controller.step()
+    interface.packet()
+    controller.step()
+    assert interface.steady_packet() is not None
+    controller.faults.protective_stop()
+    controller.step()
+    assert interface.steady_packet() is None
+    assert not interface.packet().is_steady
+    controller.step()
+    assert interface.packet().is_steady
+
+
+@pytest.mark.simulated_time
+def test_state_stays_fresh_while_only_its_time_changes() -> None:
+    """The safety state must not become outdated while every packet shows the same modes."""
+    with urlink.connect("sim://?firmware=5.11") as robot:
+        robot.motion.move_joints(HOME).wait()
+        time.sleep(3.0)
+        control = robot._control.made
+        assert control is not None
+        monitor = control._monitor
+        with monitor.decision() as interlock:
+            assert interlock.refusal_to_begin(monitor.clock()) is None
+        robot.motion.move_joints(AWAY).wait()

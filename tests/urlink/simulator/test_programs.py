@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import urlink
+from tests.matrix import trials
 from urlink.protocol.enums import ProgramState, SafetyMode
 from urlink.simulator import Controller
 from urlink.simulator.interfaces.dashboard import UNLOCK_AFTER
@@ -853,7 +854,7 @@ _EVENTS = st.one_of(
 
 @pytest.mark.slow
 @pytest.mark.property
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=trials(15, 500))
 @given(st.lists(_EVENTS, max_size=25), st.sampled_from(["1.8", "3.14", "5.11"]), st.booleans())
 def test_every_started_program_is_reported_as_stopped(
     events: list[tuple[str, Any]], firmware: str, has_demonstration: bool

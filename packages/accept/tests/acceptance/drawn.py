@@ -114,9 +114,10 @@ def all_defects() -> list[Drawn]:
 
 def drawn(seed: int, count: int, bases: Mapping[str, Evidence]) -> Iterator[tuple[str, Drawn]]:
     """Yield defects, each with the firmware it is planted in: each firmware in turn."""
+    firmwares = list(bases)
     order = iter(random.Random(seed).sample(all_defects(), len(all_defects())))
     for number in range(count):
-        firmware = FIRMWARES[number % len(FIRMWARES)]
+        firmware = firmwares[number % len(firmwares)]
         yield firmware, next(each for each in order if changes(bases[firmware], each))
 
 

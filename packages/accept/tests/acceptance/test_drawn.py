@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -18,6 +20,7 @@ from packages.accept.tests.acceptance.drawn import (
     sound,
     verdicts_with,
 )
+from tests.matrix import trials
 from urlink.simulator import Controller
 from urlink.simulator.interfaces.realtime import FIELDS
 from urlink_accept.acceptance.causes import refuted_positions
@@ -28,7 +31,20 @@ from urlink_accept.acceptance.requirements import requirements
 from urlink_accept.acceptance.stages import run
 from urlink_accept.identification.exercise import Guard
 
-_FEW = 6
+_FEW = trials(6, 30)
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Evidence]:
+    """Function that returns the evidence of a sound controller with this firmware."""
+
+    @cache
+    def made(firmware: str) -> Evidence:
+        evidence = sound(firmware, tmp_path_factory.mktemp("sound") / f"{firmware}.urlog")
+        assert [each.seen for each in judge(evidence, requirements()) if each.state == "not held"] == []
+        return evidence
+
+    return made
 
 
 def test_at_least_200_different_defects_can_be_drawn() -> None:
@@ -45,18 +61,16 @@ def test_at_least_200_different_defects_can_be_drawn() -> None:
     ],
     ids=str,
 )
-def test_defect_on_both_interfaces_is_named(tmp_path: Path, firmware: str, defect: Drawn) -> None:
-    base = sound(firmware, tmp_path / "sound.urlog")
-    assert [each.seen for each in judge(base, requirements()) if each.state == "not held"] == []
-    assert is_named(verdicts_with(base, defect), defect)
+def test_defect_on_both_interfaces_is_named(base: Callable[[str], Evidence], firmware: str, defect: Drawn) -> None:
+    assert is_named(verdicts_with(base(firmware), defect), defect)
 
 
 @pytest.mark.slow
+@pytest.mark.matrix
 @pytest.mark.timeout(900)
-def test_drawn_defects_are_found_and_named(tmp_path: Path) -> None:
-    bases = {each: sound(each, tmp_path / f"{each}.urlog") for each in FIRMWARES}
-    for base in bases.values():
-        assert [each.seen for each in judge(base, requirements()) if each.state == "not held"] == []
+def test_drawn_defects_are_found_and_named(base: Callable[[str], Evidence]) -> None:
+    # The evidence of each firmware takes half a minute.
+    bases = {each: base(each) for each in FIRMWARES[: trials(2, 3)]}
     found, named = [], []
     for firmware, defect in drawn(SEED, _FEW, bases):
         verdicts = verdicts_with(bases[firmware], defect)

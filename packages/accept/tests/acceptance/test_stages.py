@@ -30,6 +30,7 @@ def tried(evidence: Evidence) -> dict[str, str]:
 
 @pytest.mark.slow
 @pytest.mark.simulated_time
+@pytest.mark.matrix(2)
 @pytest.mark.parametrize(
     ("firmware", "without"),
     [

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +21,7 @@ from ...arm.vectors import FloatArray, Numbers
 from ...protocol.realtime.packets import RealtimeState
 from ...script.links import FOLLOW, Writer
 from ...script.messages import packed
-from ...script.springs import GAINS, POSTURE
+from ...script.springs import GAINS, LONGEST, POSTURE, RAMP
 from ..context import MotionContext
 from ..limited import STEP, LimitedArm
 from ..moves.path import check_joint_positions, shown_tcp
@@ -34,6 +35,9 @@ from .setpoints import LinkDialogue
 #: Step of a counter, and fraction of the messages that contain the gains or the posture. The step is not a simple
 #: fraction. Therefore a program that receives only every n-th message still receives all kinds of messages.
 _GOLDEN, _GAINS_SHARE = 0.6180339887, 0.25
+#: Largest time in s, chosen, until the program has taken a target; and largest share by which an arm swings beyond the
+#: speed of its aim, for which speeds are limited in advance. An arm that swings further is only watched.
+_LATEST, _MOST_SWING = 0.1, 0.9
 
 
 @slider(impedance=SliderEffect.SCALED)
@@ -54,6 +58,7 @@ class Impedance(BlockMotion):
     """
 
     def __init__(self, context: MotionContext, parameters: ImpedanceParameters, open_link: Callable[[], Link]) -> None:
+        parameters = parameters.slowed(context.limits)
         firmware, model = context.who.identity.firmware, context.who.identity.arm
         body, stiffness, has_posture = parameters.program(firmware, model)
         damping = damping_of(parameters.frame, parameters.damping).tolist()
@@ -62,32 +67,36 @@ class Impedance(BlockMotion):
         self._messages = _Messages(body, stiffness.tolist(), damping, has_posture=has_posture)
         super().__init__(context, "impedance", self._messages, open_link)
         self._limited: LimitedArm | None = None
-        if context.limits is not None:
-            fastest = parameters.fastest()
-            self._fastest = float(fastest.max())
-            if self.frame == "joints":
-                context.limits.check_joint_speeds(fastest[np.newaxis])
-            else:
-                context.limits.check_tool_speeds(fastest[:3])
+        self._fastest = RAMP * float(parameters.fastest().max())
+        self._ramp: _Ramp | None = None
 
-    def _check_limits(self, target: Sequence[float]) -> None:
-        """Compare a target, and the straight way to it from the last target or the arm, with the box of the session."""
+    def _seconds_to(self, target: Sequence[float]) -> float:
+        """Return the shortest duration of the movement to a target within the limits of the session, in s.
+
+        Raises:
+            LimitExceeded: If the target, or the straight way to it, is outside of the box.
+        """
         if self._limited is None:
             self._limited = self._context.limited()
         limited = self._limited
         if limited is None:
-            return
+            return 0.0
         if self.frame != "joints":
             limited.limits.check_places(np.array([target[:3]]))
-            return
-        before = limited.q if self._messages.target is None else np.array(self._messages.target)
-        way = np.array(target) - before
-        # The program moves the target at up to 0.7 of the largest speed. The springs might move the arm at this speed.
-        length = float(np.abs(way).max())
-        if length > 0.0:
+            return 0.0
+        now, end = self._context.clock(), np.array(target)
+        shortest = longest = seconds = 0.0
+        begins = [limited.q] if self._ramp is None else self._ramp.places(now)
+        for begin in begins:
+            way = end - begin
             parts = np.linspace(0.0, 1.0, max(math.ceil(float(np.abs(way).sum()) / STEP), 1) + 1)[:, np.newaxis]
-            speeds = np.broadcast_to(self._fastest * way / length, (len(parts), 6))
-            limited.check(before + parts * way, speeds)
+            rows = begin + parts * way
+            limited.check(rows)
+            seconds = max(seconds, limited.shortest(rows, _swing(min(self._messages.gains[1])) * way))
+            shortest = max(shortest, seconds, float(np.abs(way).max()) / self._fastest)
+        longest = max(shortest, LONGEST) + _LATEST
+        self._ramp = _Ramp(begins[-1], end, now, shortest, longest)
+        return seconds
 
     @property
     def target(self) -> FloatArray | None:
@@ -137,7 +146,8 @@ class Impedance(BlockMotion):
                 passed for springs of the joints or without direct torque. In this case and in the cases below, the
                 target does not change.
             Unreachable: If the tool cannot reach this pose.
-            LimitExceeded: If the target, or the straight way to it, leaves the box of the session.
+            LimitExceeded: If the target, or the straight way to it, leaves the box of the session. If the session
+                limits the speed, the program moves to the target as slowly as necessary.
             LinkError: If the impedance has ended; the error states the reason.
             LocalError: If called outside the ``with`` block.
         """
@@ -147,8 +157,7 @@ class Impedance(BlockMotion):
             raise BadValue("posture applies only to springs of the tool with direct torque; omit it")
         if self.frame == "joints":
             values = check_joint_positions(target, "target", identity.arm).tolist()
-            self._check_limits(values)
-            self._messages.lead(values, None)
+            self._messages.lead(values, None, self._seconds_to(values))
             return
         goal, state = check_pose(target, "target"), self._context.state()
         if self._tcp is None:
@@ -156,8 +165,7 @@ class Impedance(BlockMotion):
         near = state.q_actual if self._messages.posture is None else self._messages.posture
         bent = identity.kinematics.inverse(goal, near, self._tcp)
         wanted = bent if posture is None else check_joint_positions(posture, "posture", identity.arm)
-        self._check_limits(goal.tolist())
-        self._messages.lead(goal.tolist(), wanted.tolist())
+        self._messages.lead(goal.tolist(), wanted.tolist(), self._seconds_to(goal.tolist()))
 
     def set_gains(self, stiffness: ArrayLike | None = None, damping: ArrayLike | None = None) -> None:
         """Change stiffness and damping gradually, within a few tenths of a second.
@@ -180,6 +188,44 @@ class Impedance(BlockMotion):
         )
 
 
+@dataclass(frozen=True)
+class _Ramp:
+    """Movement of the aim in the program to the newest target, as far as this computer knows it.
+
+    Attributes:
+        begin, end: Positions of the joints at both ends, (6,) rad.
+        since: Monotonic time at which the target was sent, in s.
+        shortest, longest: Bounds of the time until the aim arrives, in s.
+    """
+
+    begin: FloatArray
+    end: FloatArray
+    since: float
+    shortest: float
+    longest: float
+
+    def places(self, now: float) -> list[FloatArray]:
+        """Return the foremost and the rearmost position that the aim can have now, (6,) rad each."""
+        passed = now - self.since
+        parts = [min(passed / each, 1.0) if each > 0.0 else 1.0 for each in (self.shortest, self.longest)]
+        return [self.begin + part * (self.end - self.begin) for part in parts]
+
+
+def _swing(ratio: float) -> float:
+    """Return the largest speed of a damped arm behind an aim that changes its speed, relative to the speed of the aim.
+
+    The arm is a spring with a damper that brakes its speed relative to the aim. The response of its speed to a sudden
+    speed of the aim swings by the share `r` beyond it, and then by smaller and smaller shares. In the worst case, the
+    aim changes its direction in time with all these swings.
+
+    Args:
+        ratio: Damping ratio.
+    """
+    angle = math.acos(min(ratio, 1.0))
+    r = math.exp(-2.0 * ratio * angle / math.sin(angle)) if angle > 1e-6 else math.exp(-2.0)
+    return (1.0 + r) / (1.0 - min(r, _MOST_SWING))
+
+
 class _Messages(LinkDialogue):
     """Dialogue with the program of an impedance. It answers each state with the target, the gains or the posture.
 
@@ -195,26 +241,26 @@ class _Messages(LinkDialogue):
         super().__init__(write)
         self.gains = list(stiffness), list(damping)
         self.has_posture = has_posture
-        self._goal: tuple[int, list[float], list[float] | None] = (0, [0.0] * 6, None)
+        self._goal: tuple[int, list[float], list[float] | None, float] = (0, [0.0] * 6, None, 0.0)
         self._turn = 0.0
 
     @property
     def target(self) -> list[float] | None:
-        number, values, _ = self._goal
+        number, values, _, _ = self._goal
         return values if number else None
 
     @property
     def posture(self) -> list[float] | None:
         return self._goal[2]
 
-    def lead(self, target: list[float], posture: list[float] | None) -> None:
-        """Set another target and posture."""
-        self._goal = (self._goal[0] % 1000 + 1, target, posture)
+    def lead(self, target: list[float], posture: list[float] | None, seconds: float) -> None:
+        """Set another target and posture, and the shortest duration of the movement to the target, in s."""
+        self._goal = (self._goal[0] % 1000 + 1, target, posture, seconds)
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
         self._turn = (self._turn + _GOLDEN) % 1.0
-        number, target, posture = self._goal
-        counted = [float(number), 0.0, 0.0, 0.0, 0.0, 0.0]
+        number, target, posture, seconds = self._goal
+        counted = [float(number), seconds, 0.0, 0.0, 0.0, 0.0]
         if self.has_posture and posture is not None and self._turn < 0.5 * _GAINS_SHARE:
             return packed(posture, counted, POSTURE)
         if self._turn < _GAINS_SHARE:

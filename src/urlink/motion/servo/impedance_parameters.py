@@ -5,6 +5,7 @@ A number is rejected if it is out of range, or if it has no effect with the give
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -24,6 +25,7 @@ from ...arm.vectors import JOINTS, FloatArray, six
 from ...protocol.firmware import Firmware
 from ...script.links import Writer
 from ...script.springs import Springs, ToolSprings, admittance, impedance
+from ...session.session_limits import SessionLimits
 from .force_control import AXES, DIRECT_TORQUE
 from .jog import FULL_SPEED, FrameName
 
@@ -84,6 +86,19 @@ class ImpedanceParameters:
         """Return the largest speeds, (6,): of the joints in rad/s, or of the tool in m/s and rad/s."""
         usual = 1.0 if self.frame == "joints" else FULL_SPEED[self.frame]
         return np.broadcast_to(np.array(_or(self.speed, usual), dtype=np.float64), (6,))
+
+    def slowed(self, limits: SessionLimits | None) -> ImpedanceParameters:
+        """Return these parameters with largest speeds that do not exceed the limits of the session."""
+        if limits is None:
+            return self
+        fastest = self.fastest()
+        if self.frame == "joints":
+            slowed = fastest if limits.joint_speed is None else np.minimum(fastest, limits.joint_speed)
+        else:
+            most, line = limits.tool_speed, float(np.linalg.norm(fastest[:3]))
+            share = 1.0 if most is None or line <= most else most / line
+            slowed = fastest * ([share] * 3 + [1.0] * 3)
+        return self if (slowed == fastest).all() else dataclasses.replace(self, speed=slowed)
 
     def program(self, firmware: Firmware, model: Model | None) -> tuple[Writer, FloatArray, bool]:
         """Return the function that writes the program, the initial stiffness, and whether the program takes a posture.

@@ -13,17 +13,18 @@ from linkcore.handle import Motion
 
 from ...arm.bounds import check_speeds
 from ...arm.vectors import FloatArray, Numbers
+from ...errors import LimitExceeded
 from ...protocol.realtime.packets import RealtimeState
 from ...script.links import Writer
 from ...script.messages import WAIT_MESSAGE
 from ...script.streaming import jogging
 from ..context import MotionContext
-from ..limited import LATE
 from ..moves.speed_limit import check_joint_speeds
 from ..slider import SliderEffect, slider
 from .block_motion import BlockMotion, message
 from .linked_program import Link, LinkedProgram
 from .setpoints import LinkDialogue
+from .speed_watch import SpeedWatch
 
 #: Frame of the six speeds.
 FrameName = Literal["joints", "base", "tool"]
@@ -37,12 +38,23 @@ _REST = np.zeros(6)
 #: Longest time in s for which an arm may continue at a speed without a message from this computer. A speed with a
 #: duration up to this time is sent as one program. For a longer duration, this time is the watchdog.
 UNLED = 0.5
+#: Watchdog of a speed in a session with limits, in s. Chosen: the default of `Motions.jog`.
+_WATCHED = 0.2
+
+
+def in_base(speeds: FloatArray, state: RealtimeState) -> FloatArray:
+    """Convert speeds along and about the axes of the tool, in its current orientation, to the axes of the base."""
+    from ...arm.poses import rotvec_to_matrix
+
+    turned = rotvec_to_matrix(state.tool_vector_actual[3:])
+    return np.concatenate([turned @ speeds[:3], turned @ speeds[3:]])
 
 
 class _Jogging(LinkDialogue):
     """Dialogue that answers each state with the newest speeds, or with zero speeds if they have expired.
 
-    Before the first speeds, it answers with `WAIT_MESSAGE`.
+    Before the first speeds, it answers with `WAIT_MESSAGE`. At a limit of the session, it answers with zero speeds
+    until other speeds are set.
 
     Args:
         frame: Frame of the speeds.
@@ -56,6 +68,10 @@ class _Jogging(LinkDialogue):
         self._timeout = timeout
         #: the speeds, and the monotonic time in s at which they were set; any thread may assign both together
         self.newest: tuple[FloatArray, float] | None = None
+        #: watch of the arm; None if the session has no limits
+        self.watch: SpeedWatch | None = None
+        #: the newest speeds at which a limit was reached, and the limit; assigned together
+        self.reached: tuple[FloatArray, LimitExceeded] | None = None
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
         newest = self.newest
@@ -65,12 +81,21 @@ class _Jogging(LinkDialogue):
         if now - at > self._timeout:
             speeds = _REST
         elif self._frame == "tool":
-            from ...arm.poses import rotvec_to_matrix
+            speeds = in_base(speeds, state)
+        return message(self._watched(newest[0], speeds, state).tolist())
 
-            # Convert from the axes of the tool, in its current orientation, to the axes of the base.
-            turned = rotvec_to_matrix(state.tool_vector_actual[3:])
-            speeds = np.concatenate([turned @ speeds[:3], turned @ speeds[3:]])
-        return message(speeds.tolist())
+    def _watched(self, asked: FloatArray, speeds: FloatArray, state: RealtimeState) -> FloatArray:
+        """Return the speeds, or zero speeds if a limit of the session has been reached since they were asked for."""
+        if self.watch is None or not speeds.any():
+            return speeds
+        if self.reached is None or self.reached[0] is not asked:
+            try:
+                self.watch.check(state, speeds)
+            except LimitExceeded as error:
+                self.reached = asked, error
+            else:
+                return speeds
+        return _REST
 
 
 @slider(jog=SliderEffect.SCALED)
@@ -103,6 +128,15 @@ class Jog(BlockMotion):
         self._arm = identity.arm
         self._acceleration = acceleration
 
+    @property
+    def limit(self) -> LimitExceeded | None:
+        """Limit of the session at which the arm brakes instead of moving at the newest speeds; None if there is none.
+
+        The next `move` may move the arm again, away from the limit.
+        """
+        reached, newest = self._dialogue.reached, self._dialogue.newest
+        return reached[1] if reached is not None and newest is not None and reached[0] is newest[0] else None
+
     def move(self, speeds: Numbers) -> None:
         """Move at these speeds until other speeds are set, or until `timeout` seconds have passed.
 
@@ -115,8 +149,8 @@ class Jog(BlockMotion):
         Raises:
             BadValue: If `speeds` is not six finite numbers, or if a speed is faster than the arm can move. The previous
                 speeds remain.
-            LimitExceeded: If the arm could exceed a limit of the session until these speeds expire and it is at rest.
-                The previous speeds remain.
+            LimitExceeded: If the arm cannot begin to move at these speeds, because it would exceed a limit of the
+                session. The previous speeds remain. If the arm reaches a limit later, it brakes there (`limit`).
             SafetyStop, NotRunning, ConnectionLost, ProgramStopped, Cancelled: If the jog has ended.
             LocalError: If called outside the ``with`` block.
         """
@@ -130,24 +164,16 @@ class Jog(BlockMotion):
         self._dialogue.newest = values, self._context.clock()
 
     def _check_limits(self, speeds: FloatArray) -> None:
-        """Compare the motion at these speeds, until they expire and the arm is at rest, with the limits."""
-        if not speeds.any():
-            return
-        limited = self._context.limited()
-        if limited is None:
+        """Check that the arm can begin to move at these speeds; from then on, the dialogue watches the arm."""
+        context = self._context
+        limited = context.limited()
+        if limited is None or not speeds.any():
             return
         limited.check_inside()
-        seconds = self.timeout + LATE * limited.cycle
-        if self.frame == "joints":
-            limited.check_joint_speed(speeds, self._acceleration, seconds, delays=(0.0, LATE * limited.cycle))
-        else:
-            limited.check_tool_speed(
-                speeds,
-                self._acceleration,
-                seconds,
-                delays=(0.0, LATE * limited.cycle),
-                is_of_tool=self.frame == "tool",
-            )
+        state = context.state()
+        watch = SpeedWatch(limited, self._acceleration, is_tool=self.frame != "joints")
+        watch.check(state, in_base(speeds, state) if self.frame == "tool" else speeds)
+        self._dialogue.watch = watch
 
     def stop(self) -> None:
         """Brake. The next `move` moves the arm again.
@@ -166,12 +192,19 @@ class _Holding(LinkDialogue):
         write: Function that returns the lines of the program.
         speeds: Speeds of the joints, or of the tool in the base frame, shape (6,).
         duration: Duration after the first message, in s.
+        watch: Watch of the arm; None if the session has no limits.
     """
 
     def __init__(
-        self, section: AbstractContextManager[object], write: Writer, speeds: FloatArray, duration: float
+        self,
+        section: AbstractContextManager[object],
+        write: Writer,
+        speeds: FloatArray,
+        duration: float,
+        watch: SpeedWatch | None,
     ) -> None:
         super().__init__(write)
+        self._watch = watch
         self._section = section
         self._speeds = speeds
         self._duration = duration
@@ -189,6 +222,8 @@ class _Holding(LinkDialogue):
             if self._began is None:
                 self._began = now
             self.is_over = now - self._began >= self._duration
+            if self._watch is not None and not self.is_over:
+                self._watch.check(state, self._speeds)
             return message(self._speeds.tolist())
 
     def part(self, now: float) -> float:
@@ -199,9 +234,11 @@ class _Holding(LinkDialogue):
 
 @slider(speed_joints=SliderEffect.SCALED)
 class HeldSpeed(Motion):
-    """Motion at one speed for a duration longer than `UNLED`, over a link.
+    """Motion at one speed over a link: for a duration longer than `UNLED`, or in a session with limits.
 
-    The robot brakes on its own if it has received no message from this computer for `UNLED` seconds.
+    The robot brakes on its own if it has received no message from this computer for `UNLED` seconds, or for `_WATCHED`
+    seconds in a session with limits. If the arm comes too close to a limit of the session, it brakes, and the motion
+    ends with `LimitExceeded`.
 
     Args:
         context: The robot.
@@ -222,9 +259,12 @@ class HeldSpeed(Motion):
         open_link: Callable[[], Link],
     ) -> None:
         firmware = context.who.identity.firmware
-        write = partial(jogging, firmware, is_tool=is_tool, acceleration=acceleration, watchdog=UNLED)
+        limited = context.limited()
+        watch = None if limited is None else SpeedWatch(limited, acceleration, is_tool=is_tool)
+        watchdog = UNLED if watch is None else _WATCHED
+        write = partial(jogging, firmware, is_tool=is_tool, acceleration=acceleration, watchdog=watchdog)
         self._acceleration = acceleration
-        self._dialogue = _Holding(context.section.lock, write, speeds, duration)
+        self._dialogue = _Holding(context.section.lock, write, speeds, duration, watch)
         life = context.programs.life(name)
         super().__init__(life, lambda: self._dialogue.part(context.clock()))
         LinkedProgram(life, context, self._dialogue, open_link).begin()
