@@ -2,7 +2,8 @@
 
 ``sound`` runs stages with sound controllers, one firmware row after the other with a random arm. A requirement that is
 not held, or a result that contradicts a parameter, is a false alarm. In stage 3 one joint swings, and the next joint in
-each round of the rows. The runs are in simulated time, or with ``--real`` in real time next to a busy process.
+each round of the rows. The runs are in simulated time, or with ``--busy N`` in real time next to N busy
+processes.
 
 ``drawn`` plants defects that a seed draws in the bytes of sound runs (`drawn`), and prints which are found.
 

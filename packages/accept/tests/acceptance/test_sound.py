@@ -182,3 +182,72 @@ def test_swing_is_not_judged_when_few_packets_arrived(count: int) -> None:
             state.__dict__.setdefault(field, None)
     expected = f"the recording cannot be evaluated: the logbook has {count} rows; expected 30 or more"
     assert verdict("swing-moments", of) == ("not tried", expected)
+
+
+@pytest.mark.parametrize(
+    ("lost", "before", "delays", "state"),
+    [
+        (0.0, 0.0, 0, "held"),
+        (0.5, 0.0, 0, "not held"),
+        (0.5, 0.0, 3, "not held"),
+        (0.5, 0.0, 30, "not tried"),
+        (0.5, 0.5, 0, "not tried"),
+        (0.9, 0.5, 0, "not held"),
+    ],
+)
+def test_silent_client_is_not_blamed_for_a_busy_computer(lost: float, before: float, delays: int, state: str) -> None:
+    """No delay is as long as 0.1 s, but 30 delays of 15 ms are a fifth of the 2 s of the step."""
+    numbers = np.arange(2000)
+    is_lost = (numbers % 10 < 10 * lost) & (numbers >= 1000) | (numbers % 10 < 10 * before) & (numbers < 1000)
+    of = evidence(np.zeros((2000, 6)), [Note(0.0, "stage", {"number": 1})])
+    came = of.realtime
+    of.__dict__["realtime"] = Came(
+        [each for each, gone in zip(came.states, is_lost, strict=True) if not gone],
+        [each for each, gone in zip(came.arrivals, is_lost, strict=True) if not gone],
+        begins=[0],
+    )
+    of.notes += [Note(2.001, "silent-client", {"event": "begin"})]
+    of.notes += [Note(2.05 + 0.06 * number, "delayed", {"by": 0.015}) for number in range(delays)]
+    of.notes += [Note(4.001, "silent-client", {"event": "end", "error": None, "received": 9, "closed": None})]
+    found, seen = verdict("silent-client", of)
+    assert found == state, seen
+
+
+def test_silent_client_requirement_detects_silence() -> None:
+    """The packets that arrived before the silence are complete by the controller's clock."""
+    arrivals = _PERIOD * np.arange(1, 2001)
+    arrivals[1500:] += 1.2
+    notes = [Note(0.0, "stage", {"number": 1}), Note(2.001, "silent-client", {"event": "begin"})]
+    notes += [Note(4.001, "silent-client", {"event": "end", "error": None, "received": 9, "closed": None})]
+    assert verdict("silent-client", evidence(np.zeros((2000, 6)), notes, arrivals))[0] == "not held"
+
+
+@pytest.mark.parametrize(("by", "state"), [(0.015, "not tried"), (0.0, "not held")])
+def test_missed_packets_are_not_judged_after_many_delays(by: float, state: str) -> None:
+    of = evidence(np.zeros((1500, 6)), [Note(0.0, "stage", {"number": 0}), Note(0.001, "listening", {})])
+    del of.realtime.states[500:1000], of.realtime.arrivals[500:1000]
+    of.notes += [Note(0.1 + 0.1 * number, "delayed", {"by": by}) for number in range(25)]
+    of.notes += [Note(3.0, "woken", {"worst": by})]
+    assert verdict("realtime-missed", of)[0] == state
+
+
+@pytest.mark.parametrize(
+    ("wrong", "by", "state"),
+    [(1, 0.2, "held"), (1, 0.0, "not held"), (30, 0.2, "not held")],
+)
+def test_single_different_signal_is_not_judged_when_busy(wrong: int, by: float, state: str) -> None:
+    """A busy computer interrupts a simulated controller between the packets of two interfaces."""
+    of = evidence(np.zeros((1000, 6)), [Note(0.0, "stage", {"number": 0}), Note(1.1, "delayed", {"by": by})])
+    came, noise = of.realtime, np.random.default_rng(1).normal(size=(1000, 6))
+    for each, q in zip(came.states, noise, strict=True):
+        each.q_actual, each.digital_input_bits = q, 0
+    rtde = [
+        SimpleNamespace(timestamp=each.time, actual_q=each.q_actual, actual_digital_input_bits=0)
+        for each in came.states
+    ]
+    for each in rtde[500 : 500 + wrong]:
+        each.actual_digital_input_bits = 16
+    of.__dict__["rtde"] = Came(rtde, list(came.arrivals), begins=[0])
+    of.__dict__["primary"] = of.__dict__["secondary"] = Came()
+    found, seen = verdict("fields-agree", of)
+    assert found == state, seen

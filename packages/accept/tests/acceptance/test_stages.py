@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from linkcore.errors import BadValue
 from linkcore.net.transport import TcpTransport
 from urlink.simulator import Controller
+from urlink.simulator.server import Server
 from urlink_accept.acceptance.evidence import Evidence
 from urlink_accept.acceptance.logbook import Logbook
 from urlink_accept.acceptance.person import Nobody
 from urlink_accept.acceptance.report import as_html, as_text, is_accepted, judge
 from urlink_accept.acceptance.requirements import requirements
 from urlink_accept.acceptance.stages import run
+from urlink_accept.acceptance.standing import try_each
 
 #: Requirements that cannot be tried while nothing moves.
 _MOVED = {"velocities", "tcp-speed"}
@@ -100,3 +104,34 @@ def test_connection_stays_open_when_logbook_ends(tmp_path: Path) -> None:
             transport.open(5.0)
         assert transport.receive(5.0)[0]
         transport.abort()
+
+
+@pytest.mark.slow
+@pytest.mark.simulated_time
+@pytest.mark.parametrize(("address", "is_sent_later"), [("ur5e?firmware=5.11", True), ("ur5?firmware=3.15", False)])
+def test_stage_detects_controller_that_waits_for_silent_client(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, address: str, is_sent_later: bool
+) -> None:
+    """Nobody gets a packet while one client has not read the previous ones."""
+    waiting: list[tuple[str, Any]] = []
+    broadcast = Server._broadcast
+
+    def wait_for_all(self: Server, kind: str, packet: Any) -> None:
+        if any(client.pending for clients in self._clients.values() for client in clients):
+            if is_sent_later:
+                waiting.append((kind, packet))
+            return
+        for each in waiting:
+            broadcast(self, *each)
+        waiting.clear()
+        broadcast(self, kind, packet)
+
+    def some(book: Logbook, steps: Mapping[str, Callable[[], Any]]) -> None:
+        try_each(book, {name: steps[name] for name in ("sleep", "silent-client")})
+
+    monkeypatch.setattr(Server, "_broadcast", wait_for_all)
+    monkeypatch.setattr("urlink_accept.acceptance.standing.try_each", some)
+    path = tmp_path / "run.urlog"
+    run(f"sim://{address}", path, (1,), consent, person=Nobody())
+    (verdict,) = judge(Evidence(path), {"silent-client": requirements()["silent-client"]})
+    assert (verdict.state, "while another client did not read" in verdict.seen) == ("not held", True), verdict

@@ -190,10 +190,20 @@ def _steps(name: str, packets: Came) -> NDArray[np.float64]:
 def _listened(evidence: Evidence, name: str) -> Came:
     """Return the packets of the listening phase, in which nothing else ran and delays of the computer were noted."""
     packets: Came = getattr(evidence, name)
+    return packets.between(*listening(evidence))
+
+
+def listening(evidence: Evidence) -> tuple[float, float]:
+    """Return the monotonic start and end times of the listening phase, in s.
+
+    Raises:
+        NotTried: If stage 0 ended before it listened.
+    """
     begins = [note.at for note in evidence.said("listening")]
     if not begins:
         raise NotTried("stage 0 ended before it listened")
-    return packets.between(begins[-1], evidence.stage(0)[1])
+    ends = [note.at for note in evidence.said("woken")]
+    return begins[-1], ends[-1] if ends else evidence.stage(0)[1]
 
 
 def _rate(name: str) -> Check:
@@ -266,7 +276,7 @@ def _jitter(name: str) -> Check:
 
 
 def _blame_this_computer(evidence: Evidence, seen: str) -> None:
-    """Raise `NotTried` if this computer itself was delayed, because then nothing can be judged.
+    """Raise `NotTried` if this computer itself was delayed while it listened, because then nothing can be judged.
 
     Raises:
         NotTried: If this computer was delayed.
@@ -274,6 +284,8 @@ def _blame_this_computer(evidence: Evidence, seen: str) -> None:
     worst = (evidence.last("woken") or {}).get("worst", 0.0)
     if worst > _HELD_UP:
         raise NotTried(f"this computer itself was delayed by {worst * 1e3:.0f} ms by other programs; {seen}")
+    if delayed := evidence.busy(*listening(evidence)):
+        raise NotTried(f"this computer was busy: {delayed}; {seen}")
 
 
 def _forward(evidence: Evidence) -> Measured:

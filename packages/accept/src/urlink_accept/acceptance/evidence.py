@@ -34,6 +34,11 @@ from urlink.tools import (
 
 from .logbook import DELAYED, NOTES, SENT
 
+#: Delay of this computer in s, longest or in total, above which nothing that takes time is judged. Many short delays
+#: count only if they add up to this fraction of the time: then the processor is shared with other programs. On an idle
+#: computer, the fraction is below 0.01.
+_DELAYED, _SHARED = 0.1, 0.1
+
 
 class Note(NamedTuple):
     """Note in a logbook.
@@ -170,22 +175,32 @@ class Evidence:
         found = self.said(step)
         return found[-1].said if found else None
 
-    def delay(self, begin: float, end: float) -> float:
-        """Return the longest delay of the computer between two monotonic times, in s.
+    def busy(self, begin: float, end: float) -> str:
+        """Return how this computer was delayed between two monotonic times in s; "" if results can be judged.
 
-        The time for which the step "frozen" suspends this program on purpose does not count.
+        A computer whose processor is shared can have many short delays instead of a long one. A simulated controller on
+        this computer is then too slow, and leaves out packets. The time for which the step "frozen" suspends this
+        program on purpose does not count.
         """
-        frozen = [note for note in self.said("frozen") if "seconds" in note.said]
-        worst = 0.0
-        for at, by in self._delays:
-            meant = sum(n.said["seconds"] for n in frozen if at - by <= n.at and n.at - n.said["seconds"] <= at)
-            if at - by <= end and at >= begin:
-                worst = max(worst, by - meant)
-        return worst
+        during = [(at, by) for at, by in self._delays if at - by <= end and at >= begin]
+        longest = max((by for _, by in during), default=0.0)
+        if longest > _DELAYED:
+            return f"it was delayed by {longest * 1e3:.0f} ms"
+        total = sum(min(at, end) - max(at - by, begin) for at, by in during)
+        if total > max(_DELAYED, _SHARED * (end - begin)):
+            return f"its delays took {total / (end - begin):.0%} of the time"
+        return ""
 
     @cached_property
     def _delays(self) -> list[tuple[float, float]]:
-        return [(note.at, note.said["by"]) for note in self.said(DELAYED)]
+        """End and length of each delay of this computer that was not on purpose, in s."""
+        frozen = [note for note in self.said("frozen") if "seconds" in note.said]
+        found = []
+        for at, _, said in self.said(DELAYED):
+            by = said["by"]
+            meant = sum(n.said["seconds"] for n in frozen if at - by <= n.at and n.at - n.said["seconds"] <= at)
+            found.append((at, max(by - meant, 0.0)))
+        return found
 
     def stage(self, number: int) -> tuple[float, float]:
         """Return the monotonic start times of a stage and of the next one, in s.

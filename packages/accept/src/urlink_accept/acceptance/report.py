@@ -16,11 +16,11 @@ from urlink import BadValue
 from urlink.tools import Progress, printable, unseen
 
 from .agreement import AGREEMENT
-from .arrivals import ARRIVALS
+from .arrivals import ARRIVALS, listening
 from .causes import likely_causes
 from .evidence import Evidence
 from .listening import ANSWERS
-from .obedience import HELD_UP, OBEDIENCE
+from .obedience import OBEDIENCE
 from .physics import PHYSICS
 from .plots import plots
 from .reactions import REACTIONS
@@ -85,10 +85,8 @@ def _verdict(
     except BadValue as error:
         # The evidence is invalid, for example because a position is not a number. Another requirement reports this.
         return Verdict(required, "not tried", None, f"it cannot be judged: {error}")
-    if not found.value <= required.limit and (late := evidence.delay(*_judged(required, evidence))) > HELD_UP:
-        return Verdict(
-            required, "not tried", None, f"this computer was busy: it was delayed by {late * 1e3:.0f} ms; {found.seen}"
-        )
+    if not found.value <= required.limit and (delayed := evidence.busy(*_judged(required, evidence))):
+        return Verdict(required, "not tried", None, f"this computer was busy: {delayed}; {found.seen}")
     # Compare with <= and not with >, so that a value of NaN is not held.
     return Verdict(required, "held" if found.value <= required.limit else "not held", *found)
 
@@ -107,7 +105,7 @@ def _judged(required: Requirement, evidence: Evidence) -> tuple[float, float]:
     """Return the time span of the step that a requirement judges; an empty span if it judges no step."""
     notes = [note.at for step in _STEPS.get(required.name, (required.name,)) for note in evidence.said(step)]
     if required.name in _ARRIVES:
-        return next((note.at for note in evidence.said("listening")), math.inf), evidence.stage(0)[1]
+        return listening(evidence)
     return (min(notes), max(notes)) if notes and required.stage in (1, 2) else (math.inf, -math.inf)
 
 

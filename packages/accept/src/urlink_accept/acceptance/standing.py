@@ -23,8 +23,9 @@ _REGISTER = "input_int_register_46", "input_int_register_22"
 _ECHOES = 10
 #: Maximum time in s for an immediate reaction of the controller; maximum time in s for any reaction.
 _SOON, _LONG = 5.0, 20.0
-#: Time in s for which a client does not read from its connection.
-_SILENT = 2.0
+#: Number of packets that a client does not read from its connection. They must not fit in the buffers of the operating
+#: systems, otherwise the controller does not notice the client: 2 s at 500 Hz, and 8 s at 125 Hz.
+_SILENT = 1000
 #: Changes of the slider, the tool and the payload, which are restored later.
 _SLIDER, _TOOL, _PAYLOAD = 0.05, 0.001, 0.1
 _SHOWS_PAYLOAD, _SHOWS_TCP = Firmware(5, 10), Firmware(3, 2)
@@ -58,7 +59,7 @@ def stand(robot: Robot, place: RobotAddress, book: Logbook, person: Person) -> N
         "sleep": lambda: _sleep(robot),
         "stop-program": lambda: _stop(robot),
         "reset": lambda: _reset(robot, place),
-        "silent-client": lambda: _silent(place),
+        "silent-client": lambda: _silent(robot, place),
         "latency": lambda: _latency(robot),
         "reconnect": lambda: _reconnect(robot, place),
         "connects-back": lambda: _connects_back(robot),
@@ -249,12 +250,12 @@ def _reset(robot: Robot, place: RobotAddress) -> Told:
     return {"began": began, "ended": ended, "again": again}
 
 
-def _silent(place: RobotAddress) -> Told:
+def _silent(robot: Robot, place: RobotAddress) -> Told:
     """Connect to the real-time interface, and do not read from the connection for a time."""
     transport = TcpTransport(place.host, place.ports["realtime"], silence=_SOON)
     transport.open(_SOON)
     try:
-        clock.sleep(_SILENT)
+        clock.sleep(_SILENT / robot.firmware.rate)
         data, _ = transport.receive(_SOON)
         return {"received": len(data), "closed": None}
     except LinkError as error:
