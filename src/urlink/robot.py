@@ -122,8 +122,8 @@ def connect(options: ConnectOptions) -> Robot:
     Raises:
         BadAddress: If the address is invalid.
         BadRecording: If the recording does not exist, or the file is not a recording.
-        BadValue: If a time is not positive, a policy or port does not exist, or the simulated arm does not run the
-            firmware.
+        BadValue: If a time is not positive, a policy or port does not exist, the simulated arm does not run the
+            firmware, or no simulated controller with this firmware has the frequency.
         UnknownModel: If there is no such arm to simulate.
         ConnectFailed, ConnectionLost, LinkTimeout, WrongPeer: If there is no controller at the address, or if another
             kind of server replies.
@@ -167,6 +167,7 @@ def simulated(place: SimulatorAddress) -> tuple[Controller, RobotAddress]:
         like=like,
         scene=place.scene,
         gripper=place.gripper or True,
+        frequency=place.frequency,
     )
     controller.start()
     served_at = parse_address(controller.address)

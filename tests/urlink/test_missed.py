@@ -101,15 +101,15 @@ def test_rtde_counts_no_missed_states_without_a_timestamp(controller: Controller
 
 
 def test_package_periods_follow_rate_and_frequency() -> None:
-    cb3, e_series = urlink.Firmware(3, 15), urlink.Firmware(5, 11)
-    assert package_periods(None, e_series, 1) == (0.002,)
-    assert package_periods(100, cb3, 1) == (0.008,)
-    assert package_periods(400, e_series, 1) == (0.002,)
-    assert package_periods(1e6, cb3, 1) == (0.008,)
-    assert package_periods(25, cb3, 1) == package_periods(25, e_series, 1) == (0.04,)
+    assert package_periods(None, 500, 1) == (0.002,)
+    assert package_periods(100, 125, 1) == (0.008,)
+    assert package_periods(400, 500, 1) == (0.002,)
+    assert package_periods(1e6, 125, 1) == (0.008,)
+    assert package_periods(25, 125, 1) == package_periods(25, 500, 1) == (0.04,)
     assert sorted(package_periods(None, None, 1)) == [0.002, 0.008]
-    assert package_periods(10, e_series, None) == (0.008,)
-    assert package_periods(5e-324, e_series, 1)[0] > 1e5
+    assert package_periods(10, 500, None) == (0.008,)
+    assert package_periods(10, 50, None) == (0.02,)
+    assert package_periods(5e-324, 500, 1)[0] > 1e5
 
 
 def test_primary_counts_missed_states(controller: Controller) -> None:

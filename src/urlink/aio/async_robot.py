@@ -365,20 +365,21 @@ async def _identified(place: RobotAddress, options: ConnectOptions) -> Identity:
     """Read the identity of the controller at an address, on the event loop. The blocking version is `networked`."""
     suffix = "_readonly" if options.read_only else ""
     try:
-        return await _identify(place.host, place.ports["primary" + suffix], options.timeout)
+        return await _identify(place, "primary" + suffix, options.timeout)
     except ConnectFailed as error:
         first = unraised(error)
     try:
-        return await _identify(place.host, place.ports["secondary" + suffix], options.timeout)
+        return await _identify(place, "secondary" + suffix, options.timeout)
     except ConnectFailed:
         raise first from None
     finally:
         del first  # breaks the reference cycle between the error and this frame
 
 
-async def _identify(host: str, port: int, timeout: float) -> Identity:
+async def _identify(place: RobotAddress, name: str, timeout: float) -> Identity:
     """Read the identity of the controller from one port, like `urlink.session.identity.identify`."""
-    introduction = Introduction(f"{host}:{port}", timeout)
+    host, port = place.host, place.ports[name]
+    introduction = Introduction(f"{host}:{port}", timeout, place.frequency)
     transport = AwaitedTcp(host, port, silence=timeout, refused=lambda: refusal_hint(None))
     await transport.connect(timeout)
     try:

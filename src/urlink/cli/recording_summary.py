@@ -19,6 +19,7 @@ from ..protocol.realtime.protocol import RealtimeProtocol
 from ..protocol.rtde.protocol import RtdeProtocol
 from ..protocol.rtde.recipes import Outputs
 from ..rtde.outputs import recorded_plan
+from ..session.identity import described_frequency
 
 #: A gap is a silence that is longer than this number of usual periods, and also longer than this time in seconds.
 _GAP_PERIODS, _GAP_SECONDS = 5, 0.05
@@ -179,7 +180,8 @@ class _Reader:
     def _new_session(self) -> PacketProtocol:
         if self.channel.name == "rtde":
             return RtdeProtocol(recorded_plan(self._info, Outputs))
-        return RealtimeProtocol() if self.channel.name == "realtime" else PrimaryProtocol()
+        is_realtime = self.channel.name == "realtime"
+        return RealtimeProtocol(described_frequency(self._info)) if is_realtime else PrimaryProtocol()
 
     def take(self, record: Record) -> None:
         if record.kind is Kind.EVENT:

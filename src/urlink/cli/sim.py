@@ -53,6 +53,12 @@ def _program(text: str) -> tuple[str, str]:
     argument("--model", metavar="NAME", help="arm: UR3, UR5, UR10, UR5e, UR16e, UR20, ... (default: UR5e)"),
     argument("--firmware", metavar="X.Y", help="controller software (default: the newest for the arm)"),
     argument(
+        "--frequency",
+        type=int,
+        metavar="HZ",
+        help="cycles per second, for tests that need fewer than a real controller executes (default: 125 or 500)",
+    ),
+    argument(
         "--host", default="127.0.0.1", metavar="H", help="address to listen on, 0.0.0.0 for all (default: 127.0.0.1)"
     ),
     argument(
@@ -125,6 +131,7 @@ def run(args: argparse.Namespace) -> int:
             motion=Demonstration(posture) if args.motion == "demo" else Still(posture),
             noise=args.noise == "on",
             scene=args.scene,
+            frequency=args.frequency,
         )
     if args.like == "ursim":
         controller.pendant.load(_URSIM_PROGRAM)

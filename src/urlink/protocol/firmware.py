@@ -13,12 +13,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from linkcore.errors import BadVersion
+from linkcore.errors import BadValue, BadVersion
 from linkcore.wire.fields import parse_version
 
 # Types of sub-packages. Only the first state of a connection contains kinematics and configuration.
 _MASTERBOARD = 3
 _FIRST_STATE_ONLY = frozenset({5, 6})
+
+
+#: Lowest frequency of a simulated controller, in Hz. A robot state is sent 10 times a second, and the interval between
+#: two states may vary by less than half of it.
+LOWEST_FREQUENCY = 25
 
 
 class Firmware(NamedTuple):
@@ -64,14 +69,57 @@ class Firmware(NamedTuple):
 
     @property
     def rate(self) -> int:
-        """Packets per second on the real-time interface: 125 on CB2 and CB3, 500 on e-Series."""
+        """Cycles of the controller per second, with one real-time packet each: 125 on CB2 and CB3, 500 on e-Series."""
         return 500 if self.major >= 5 else 125
+
+    @property
+    def frequencies(self) -> tuple[int, ...]:
+        """Cycles per second that a simulated controller with this firmware can execute, in Hz, lowest first.
+
+        The frequency of a real controller is a multiple of each, so that every cycle of a slower controller coincides
+        with one of a real controller.
+        """
+        real = Firmware(*self).rate
+        return tuple(each for each in range(LOWEST_FREQUENCY, real + 1) if real % each == 0)
+
+    def at(self, frequency: int) -> Firmware:
+        """Return the firmware of a simulated controller that executes `frequency` cycles per second.
+
+        Raises:
+            BadValue: If `frequency` is not one of `frequencies`.
+        """
+        if isinstance(frequency, bool) or frequency not in self.frequencies:
+            one_of = ", ".join(map(str, self.frequencies))
+            raise BadValue(f"frequency={frequency!r}; expected one of {one_of} Hz for firmware {self}")
+        real = Firmware(*self)
+        return real if frequency == real.rate else SlowFirmware.of(real, frequency)
 
     def __str__(self) -> str:
         parts = list(self)
         while len(parts) > 2 and parts[-1] == 0:
             parts.pop()
         return ".".join(map(str, parts))
+
+
+class SlowFirmware(Firmware):
+    """Firmware of a simulated controller that executes fewer cycles per second than a real one; see `Firmware.at`.
+
+    It equals the firmware with the same numbers, because everything except the rate is the same.
+    """
+
+    _rate: int
+
+    @classmethod
+    def of(cls, firmware: Firmware, rate: int) -> SlowFirmware:
+        """Return the firmware with another rate, in Hz."""
+        slow = cls(*firmware)
+        slow._rate = rate
+        return slow
+
+    @property
+    def rate(self) -> int:
+        """Cycles of the simulated controller per second."""
+        return self._rate
 
 
 @dataclass(frozen=True)
@@ -208,6 +256,8 @@ RELEASES: tuple[Release, ...] = (
 NEWEST = [row.since for row in RELEASES if row.since.major == 5][-1]
 #: Last releases of CB2 and CB3, which receive no further updates.
 LAST_CB2, LAST_CB3 = Firmware(1, 8), Firmware(3, 15)
+#: Frequencies that a simulated controller with some firmware can have, in Hz, lowest first.
+FREQUENCIES = tuple(sorted({*NEWEST.frequencies, *LAST_CB3.frequencies}))
 
 _MAJORS = sorted({row.since.major for row in RELEASES})
 

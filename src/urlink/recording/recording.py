@@ -36,7 +36,7 @@ from ..protocol.realtime.protocol import RealtimeProtocol, periods_of
 from ..protocol.rtde.protocol import CLOCK, RtdeProtocol, package_periods
 from ..protocol.rtde.recipes import Outputs
 from ..rtde.outputs import recorded_plan
-from ..session.identity import described_identity
+from ..session.identity import described_firmware, described_frequency, described_identity
 from .robot_state_table import RobotStates
 from .ros_messages import description_topic, log_topic, topics_of
 
@@ -85,7 +85,10 @@ class Recording(StrictAttributes):
     def firmware(self) -> Firmware | None:
         """Firmware of the controller at the start of the recording; None if it was not recorded."""
         said = self._said("firmware")
-        return None if said is None else Firmware.parse(said)
+        if said is None:
+            return None
+        info = next(info for info in self.channels.values() if info.get("firmware") is not None)
+        return described_firmware(info, said)
 
     @property
     def model(self) -> str | None:
@@ -157,8 +160,11 @@ class Recording(StrictAttributes):
         channel = self._channel("realtime", RealtimeProtocol, RealtimeState)
         # If the recorder stores fewer packets than the robot sends, it also stores the rate of the stored packets.
         rate = self._info("realtime").get("rate")
+        frequency = described_frequency(self._info("realtime"))
         if isinstance(rate, (int, float)) and 0 < rate < float("inf"):
             periods: tuple[float, ...] = (1.0 / rate,)
+        elif frequency is not None:
+            periods = (1.0 / frequency,)
         else:
             periods = periods_of(channel.parts[0].layout.size if channel.parts else 0)
         return self._table("realtime", channel, ClockColumn("time", 1.0, periods))
@@ -191,7 +197,8 @@ class Recording(StrictAttributes):
         plan = recorded_plan(self._info("rtde"), Outputs)
         channel = self._channel("rtde", lambda: RtdeProtocol(plan), Outputs)
         number = None if plan.recorded is None else plan.recorded.number
-        periods = package_periods(plan.frequency, self.firmware, number)
+        firmware = self.firmware
+        periods = package_periods(plan.frequency, None if firmware is None else firmware.rate, number)
         return self._table("rtde", channel, ClockColumn(CLOCK, 1.0, periods))
 
     @property

@@ -36,7 +36,7 @@ from ..session.source import Source
 from .claims import CLAIM_TIMEOUT, BriefClaims, Claims
 from .inputs import Inputs, with_masks
 from .outputs import OutputStream, connection_of, declared, recorded_plan
-from .registers import Registers
+from .registers import FREQUENCY, Registers
 
 if TYPE_CHECKING:
     from .names import AnyOutputs, InputName, OutputName
@@ -117,8 +117,8 @@ class Rtde(StrictAttributes):
         Args:
             names: Names of the variables (`urlink.rtde.OUTPUTS` lists all known ones), or one class.
             frequency: Packages per second, 1 to 125 on CB3 and 1 to 500 on later controllers; None for the maximum. The
-                controller sends a package every n-th cycle, so the actual rate is at least `frequency`, and at most
-                twice as high.
+                maximum of a simulated controller with a lower frequency is its frequency. The controller sends a
+                package every n-th cycle, so the actual rate is at least `frequency`, and at most twice as high.
             missing: Behaviour for a variable that the controller does not have: "error", or "leave_out". With
                 "leave_out", the variable reads as None and is listed in `OutputStream.left_out`.
 
@@ -214,7 +214,8 @@ class Rtde(StrictAttributes):
             lower: Whether to include the lower registers, which are meant for fieldbuses and PLCs. `robot.registers`
                 does not include them.
         """
-        return Registers(self._claimed, self.outputs, self._source.timeout, lower=lower)
+        frequency = min(FREQUENCY, self._source.frequency or FREQUENCY)
+        return Registers(self._claimed, self.outputs, self._source.timeout, frequency=frequency, lower=lower)
 
     def _claimed(self) -> Claims:
         """Return the connection for claiming registers."""
@@ -334,6 +335,7 @@ class Rtde(StrictAttributes):
 
     def _connection(self, plan: Requests, what: str, source: Source | None = None) -> tuple[Connection, RtdeTransport]:
         source = source or self._source
+        plan.rate = source.frequency
         transport = (source.rtde or RtdeTransport)(source.transport("rtde"), plan)
         return connection_of(f"{self._name} {what}", transport, plan, source), transport
 

@@ -20,6 +20,7 @@ from ..protocol.rtde.packets import REPLIES
 from ..protocol.rtde.protocol import Requests, RtdeProtocol, check_names
 from ..protocol.rtde.recipes import Outputs, Recipe
 from ..protocol.rtde.transport import RtdeTransport
+from ..session.identity import described_frequency
 
 if TYPE_CHECKING:
     from ..session.source import Source
@@ -81,7 +82,8 @@ def recorded_plan(info: Mapping[str, Any], kind: type[Outputs]) -> Requests:
     """
     try:
         recipe = Recipe(info["names"], info["types"], info["number"])
-        return Requests(tuple(info["asked"]), info["frequency"], frozenset(info["asked"]), kind=kind, recorded=recipe)
+        asked, rate = tuple(info["asked"]), described_frequency(info)
+        return Requests(asked, info["frequency"], frozenset(asked), kind=kind, recorded=recipe, rate=rate)
     except (KeyError, TypeError, BadValue) as error:
         raise BadRecording(f"the recording does not describe its RTDE variables: {error}") from None
 

@@ -16,8 +16,8 @@ from .outputs import OutputStream
 #: First number of the upper range, and total number of registers, of each kind.
 _RANGES = {"bit": (64, 128), "int": (24, 48), "double": (24, 48)}
 
-#: Packages per second for reading registers.
-_FREQUENCY = 125.0
+#: Packages per second for reading registers; fewer if a simulated controller executes fewer cycles.
+FREQUENCY = 125.0
 
 
 class Registers(StrictAttributes):
@@ -38,11 +38,13 @@ class Registers(StrictAttributes):
         outputs: Callable[..., OutputStream[Any]],
         timeout: float,
         *,
+        frequency: float = FREQUENCY,
         lower: bool,
     ) -> None:
         self._claimed = claimed
         self._outputs = outputs
         self._timeout = timeout
+        self._frequency = frequency
         self._lower = lower
         self._streams: dict[str, OutputStream[Any]] = {}
         self._lock = threading.RLock()  # re-entrant, for signal handlers
@@ -117,7 +119,7 @@ class Registers(StrictAttributes):
                     upper, end = _RANGES[kind]
                     first = upper if kind == "bit" or not self._lower else 0
                     names = tuple(f"output_{kind}_register_{number}" for number in range(first, end))
-                stream = self._streams[kind] = self._outputs(*names, frequency=_FREQUENCY)
+                stream = self._streams[kind] = self._outputs(*names, frequency=self._frequency)
         # `wait` connects a new stream, so that its first package is not missed.
         state = (None if is_new else stream.latest) or stream.wait(self._timeout)
         return getattr(state, name)

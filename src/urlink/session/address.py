@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Literal, cast, get_args
 from urllib.parse import parse_qsl, unquote, urlsplit
 
-from linkcore.errors import BadAddress, BadVersion
+from linkcore.errors import BadAddress, BadValue, BadVersion
 
-from ..protocol.firmware import Firmware, existing_firmware
+from ..protocol.firmware import FREQUENCIES, Firmware, existing_firmware
 from ..protocol.ports import PORTS
 
 #: Whether a simulated arm rests until a program commands it, or moves slowly around its home posture.
@@ -22,18 +22,24 @@ Mounted = Literal["vacuum", "rg2", "rg6"]
 
 @dataclass(frozen=True)
 class RobotAddress:
-    """Controller on the network: ``192.168.56.101`` or ``ur://192.168.56.101?primary=40001``."""
+    """Controller on the network: ``192.168.56.101`` or ``ur://192.168.56.101?primary=40001``.
+
+    ``ur://127.0.0.1?frequency=125`` is a simulated controller that executes 125 cycles per second although a real
+    controller with its firmware executes 500. A frequency of None is the one of the firmware.
+    """
 
     host: str
     ports: Mapping[str, int] = field(default_factory=lambda: dict(PORTS))
+    frequency: int | None = None
 
     def __str__(self) -> str:
-        """Address in the format of `parse_address`, with the ports that differ from the defaults."""
+        """Address in the format of `parse_address`, with the options that differ from the defaults."""
         # A server that listens on all interfaces is reached at the loopback address from this computer.
         host = {"0.0.0.0": "127.0.0.1", "::": "::1", "": "127.0.0.1"}.get(self.host, self.host)
         host = f"[{host}]" if ":" in host else host
-        options = "&".join(f"{name}={port}" for name, port in self.ports.items() if PORTS.get(name) != port)
-        return f"ur://{host}?{options}" if options else host
+        options = [f"{name}={port}" for name, port in self.ports.items() if PORTS.get(name) != port]
+        options += [] if self.frequency is None else [f"frequency={self.frequency}"]
+        return f"ur://{host}?{'&'.join(options)}" if options else host
 
 
 @dataclass(frozen=True)
@@ -43,6 +49,7 @@ class SimulatorAddress:
     ``sim://ur5e?like=arm.json`` simulates the arm whose identified parameters are in that file.
     ``sim://ur5e?scene=table.xml`` places the arm among the bodies of that file, with an adapter such as urlink-mujoco.
     ``sim://ur5e?gripper=vacuum`` mounts a vacuum gripper, and ``rg2`` or ``rg6`` one of OnRobot, instead of a 2F-85.
+    ``sim://ur5e?frequency=125`` executes 125 cycles per second instead of 500, so that tests take less time.
     """
 
     model: str | None = None
@@ -51,6 +58,7 @@ class SimulatorAddress:
     like: Path | None = None
     scene: Path | None = None
     gripper: Mounted | None = None
+    frequency: int | None = None
 
 
 @dataclass(frozen=True)
@@ -70,8 +78,8 @@ def parse_address(text: str | os.PathLike[str]) -> Address:
     Raises:
         BadAddress: If the address is invalid. The message describes the error and the expected format.
 
-    >>> parse_address("sim://ur10?motion=demo")
-    SimulatorAddress(model='ur10', firmware=None, motion='demo', like=None, scene=None, gripper=None)
+    >>> parse_address("sim://ur10?motion=demo").motion
+    'demo'
     >>> parse_address("ur://10.0.0.7?realtime=40003").ports["realtime"]
     40003
     """
@@ -116,21 +124,37 @@ def _robot(text: str, host: str | None, netloc: str, path: str, options: dict[st
         )
     host = host.replace("%25", "%")  # URL notation of the % before the network card of a link-local address
     ports = dict(PORTS)
+    frequency = _frequency(text, options.pop("frequency", None), None)
     for name, value in options.items():
         if name not in ports:
-            raise BadAddress(f"{text!r}: unknown option {name!r}; expected one of {', '.join(ports)}")
+            raise BadAddress(f"{text!r}: unknown option {name!r}; expected one of {', '.join(ports)}, frequency")
         if not value.isdecimal() or len(value) > 5 or not 0 < int(value) < 65536:
             raise BadAddress(f"{text!r}: {name}={value!r} is not a port; expected 1 to 65535")
         ports[name] = int(value)
-    return RobotAddress(host, ports)
+    return RobotAddress(host, ports, frequency)
+
+
+def _frequency(text: str, value: str | None, firmware: Firmware | None) -> int | None:
+    """Return the frequency of a simulated controller, in Hz. If the firmware is unknown, its frequency is unknown."""
+    if value is None:
+        return None
+    if value not in map(str, FREQUENCIES):
+        raise BadAddress(f"{text!r}: frequency={value!r}; expected one of {', '.join(map(str, FREQUENCIES))} Hz")
+    if firmware is not None:
+        try:
+            firmware.at(int(value))
+        except BadValue as error:
+            raise BadAddress(f"{text!r}: {error}") from None
+    return int(value)
 
 
 def _simulator(text: str, model: str, options: dict[str, str]) -> SimulatorAddress:
-    names = ("firmware", "motion", "like", "scene", "gripper")
-    firmware, motion, like, scene, gripper = (options.pop(name, None) for name in names)
+    names = ("firmware", "motion", "like", "scene", "gripper", "frequency")
+    firmware, motion, like, scene, gripper, frequency = (options.pop(name, None) for name in names)
     if options:
         raise BadAddress(
-            f"{text!r}: unknown option {next(iter(options))!r}; expected firmware, motion, like, scene or gripper"
+            f"{text!r}: unknown option {next(iter(options))!r}; "
+            "expected firmware, motion, like, scene, gripper or frequency"
         )
     if like == "":
         raise BadAddress(f"{text!r}: like= names no file; expected like=arm.json, written by urlink identify")
@@ -146,7 +170,8 @@ def _simulator(text: str, model: str, options: dict[str, str]) -> SimulatorAddre
         raise BadAddress(f"{text!r}: {error}") from None
     arm, bodies = (None if each is None else Path(each) for each in (like, scene))
     mounted = cast("Mounted | None", gripper)
-    return SimulatorAddress(model or None, version, cast("Motion | None", motion), arm, bodies, mounted)
+    rate = _frequency(text, frequency, version)
+    return SimulatorAddress(model or None, version, cast("Motion | None", motion), arm, bodies, mounted, rate)
 
 
 def _recording(text: str, path: str, options: dict[str, str]) -> RecordingAddress:

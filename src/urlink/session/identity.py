@@ -22,7 +22,7 @@ from linkcore.errors import (
 from linkcore.net.transport import TcpTransport
 
 from ..arm.models import MODELS, Model, model_of
-from ..protocol.firmware import Firmware, infer, release_of
+from ..protocol.firmware import FREQUENCIES, Firmware, SlowFirmware, infer, release_of
 from ..protocol.ports import refusal_hint
 from ..protocol.primary.protocol import PrimaryProtocol
 from ..protocol.primary.robot_state import ConfigurationData, KinematicsInfo, RobotState
@@ -39,7 +39,8 @@ class Identity:
     """Identity of a controller.
 
     Attributes:
-        firmware: Firmware version. If the controller did not report it, the oldest firmware that sends such states.
+        firmware: Firmware version. If the controller did not report it, the oldest firmware that sends such states. Its
+            `rate` is the number of cycles per second of this controller.
         said_so: Whether the controller reported the firmware.
         model: Name of the arm, such as "UR5e"; None if no configuration was received.
         dh_table: Calibrated Denavit-Hartenberg parameters; None if they were not received.
@@ -85,6 +86,8 @@ class Identity:
         A recording stores the identity separately, because it rarely contains the first state, which has the identity.
         """
         said: dict[str, Any] = {"firmware": str(self.firmware), "model": self.model}
+        if isinstance(self.firmware, SlowFirmware):
+            said["controller_frequency"] = self.firmware.rate
         if self.dh_table is not None:
             names = ("dh_theta", "dh_a", "dh_d", "dh_alpha")
             said["dh_table"] = {name: list(map(float, getattr(self.dh_table, name))) for name in names}
@@ -95,7 +98,8 @@ def described_identity(said: Mapping[str, Any]) -> Identity:
     """Return the identity that `Identity.description` has stored in a recording.
 
     Raises:
-        BadRecording: If the firmware is missing, the model is not a string, or ``dh_table`` has no valid DH parameters.
+        BadRecording: If the firmware is missing, the model is not a string, ``dh_table`` has no valid DH parameters, or
+            no simulated controller with this firmware has the frequency.
         BadVersion: If the firmware is not a version.
     """
     firmware, model, written = said.get("firmware"), said.get("model"), said.get("dh_table")
@@ -112,7 +116,39 @@ def described_identity(said: Mapping[str, Any]) -> Identity:
         except TypeError as error:
             name = said.get("name")
             raise BadRecording(f"channel {name!r} has invalid DH parameters in dh_table: {error}") from None
-    return Identity(Firmware.parse(firmware), said_so=True, model=model, dh_table=table)
+    return Identity(described_firmware(said, firmware), said_so=True, model=model, dh_table=table)
+
+
+def described_firmware(said: Mapping[str, Any], firmware: str) -> Firmware:
+    """Return the firmware in the description of a channel, with its frequency.
+
+    Args:
+        said: Description.
+        firmware: Its firmware.
+
+    Raises:
+        BadRecording: If no simulated controller with this firmware has the frequency.
+        BadVersion: If the firmware is not a version.
+    """
+    frequency = described_frequency(said)
+    try:
+        return Firmware.parse(firmware) if frequency is None else Firmware.parse(firmware).at(frequency)
+    except BadValue as error:
+        raise BadRecording(f"channel {said.get('name')!r}: {error}") from None
+
+
+def described_frequency(said: Mapping[str, Any]) -> int | None:
+    """Return the frequency of a slow simulated controller in the description of a channel, in Hz; None for others.
+
+    Raises:
+        BadRecording: If no simulated controller has the frequency.
+    """
+    frequency = said.get("controller_frequency")
+    if frequency is None or (type(frequency) is int and frequency in FREQUENCIES):
+        return frequency
+    one_of = ", ".join(map(str, FREQUENCIES))
+    name = said.get("name")
+    raise BadRecording(f"channel {name!r}: controller_frequency is {frequency!r:.80}; expected one of {one_of} Hz")
 
 
 class KnownIdentity:
@@ -149,16 +185,22 @@ class KnownIdentity:
         return self.last
 
 
-def identify(host: str, port: int, timeout: float) -> Identity:
+def identify(host: str, port: int, timeout: float, frequency: int | None = None) -> Identity:
     """Connect to a primary or secondary interface, read the controller's identity, and disconnect.
 
+    Args:
+        host, port: Address of the interface.
+        timeout: Maximum time for each step, in seconds.
+        frequency: See `Introduction`.
+
     Raises:
+        BadValue: See `Introduction.identity`.
         ConnectFailed: If nothing listens at the address.
         ConnectionLost: If the controller closes the connection before it has identified itself.
         LinkTimeout: If the controller sends nothing, or has not identified itself within `timeout` seconds.
         WrongPeer: If the peer is not a controller.
     """
-    introduction = Introduction(f"{host}:{port}", timeout)
+    introduction = Introduction(f"{host}:{port}", timeout, frequency)
     transport = TcpTransport(host, port, silence=min(0.1, timeout), refused=lambda: refusal_hint(None))
     transport.open(timeout)
     try:
@@ -180,10 +222,13 @@ class Introduction:
     Args:
         name: Name of the peer, used in messages.
         timeout: Maximum time from now until the identity is known, in seconds.
+        frequency: Cycles per second of a simulated controller, in Hz, which its packets do not show; None if they
+            follow from the firmware.
     """
 
-    def __init__(self, name: str, timeout: float) -> None:
+    def __init__(self, name: str, timeout: float, frequency: int | None = None) -> None:
         self._name = name
+        self._frequency = frequency
         self._timeout = timeout
         self._until = clock.now() + timeout
         self._protocol = PrimaryProtocol()
@@ -230,6 +275,7 @@ class Introduction:
         """Identity of the controller.
 
         Raises:
+            BadValue: If no simulated controller with this firmware has the frequency.
             ConnectionLost: If the controller closed the connection before it sent its version.
             LinkTimeout: If the controller has not sent its version.
             WrongPeer: If the peer is not a controller.
@@ -238,6 +284,7 @@ class Introduction:
         firmware = protocol.firmware or (None if state is None else infer(state.sizes))
         if firmware is not None:
             model = _model_name(self._configuration, firmware)
+            firmware = firmware if self._frequency is None else firmware.at(self._frequency)
             return Identity(firmware, protocol.firmware is not None, model, self._kinematics)
         began = f"its first bytes are {self._received[:32]!r}"
         if protocol.framer.skipped:

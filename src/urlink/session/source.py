@@ -25,7 +25,7 @@ from ..protocol.realtime.packets import RealtimeState
 from ..protocol.realtime.protocol import RealtimeProtocol
 from .address import RecordingAddress, RobotAddress
 from .connect_options import ConnectOptions
-from .identity import Identity, described_identity, identify
+from .identity import Identity, described_frequency, described_identity, identify
 
 if TYPE_CHECKING:
     from ..protocol.rtde.protocol import Requests
@@ -46,6 +46,8 @@ class Source(NamedTuple):
         connection: Class or function that makes a `Connection`, with the same arguments.
         rtde: Function that makes the transport of an RTDE connection; None for the default.
         sent: Record of the bytes that were sent to the robot; None for a recording.
+        frequency: Cycles per second of a simulated controller, if its address or its recording states them; None if
+            they follow from its firmware.
     """
 
     ask: Callable[[], Identity]
@@ -58,6 +60,7 @@ class Source(NamedTuple):
     connection: Callable[..., Connection] = Connection
     rtde: Callable[[Any, Requests], RtdeTransport] | None = None
     sent: SentRecord | None = None
+    frequency: int | None = None
 
     def flight(self, interface: str) -> FlightRecord | None:
         """Return a new flight record for a connection to one interface; None if this is a recording."""
@@ -82,7 +85,7 @@ class Source(NamedTuple):
         def protocol() -> PacketProtocol:
             if next(numbers):
                 reconnected()
-            return RealtimeProtocol() if is_realtime else PrimaryProtocol()
+            return RealtimeProtocol(self.frequency) if is_realtime else PrimaryProtocol()
 
         kind: type[State] = RealtimeState if is_realtime else RobotState
         if is_realtime:
@@ -138,14 +141,14 @@ def networked(
 
     def ask() -> Identity:
         try:
-            last[:] = [identify(place.host, place.ports["primary" + suffix], timeout)]
+            last[:] = [identify(place.host, place.ports["primary" + suffix], timeout, place.frequency)]
         except ConnectFailed as error:
             first = unraised(error)
         else:
             return last[0]
         try:
             # The secondary interface sends the version message too.
-            last[:] = [identify(place.host, place.ports["secondary" + suffix], timeout)]
+            last[:] = [identify(place.host, place.ports["secondary" + suffix], timeout, place.frequency)]
         except ConnectFailed:
             raise first from None
         finally:
@@ -168,7 +171,9 @@ def networked(
         return made
 
     sent = SentRecord(_SENT_MEMORY)
-    return Source(ask, transport, options.backoff, timeout, silence, is_lossless=False, sent=sent)
+    return Source(
+        ask, transport, options.backoff, timeout, silence, is_lossless=False, sent=sent, frequency=place.frequency
+    )
 
 
 def recorded(place: RecordingAddress) -> Source:
@@ -196,5 +201,6 @@ def recorded(place: RecordingAddress) -> Source:
     def channel(interface: str) -> Mapping[str, Any]:
         return recording.channels[recording.channel(interface)]
 
-    at_once = Backoff(first=0, most=0)
-    return Source(ask, transport, at_once, timeout=5.0, silence=None, is_lossless=place.rate == 0, channel=channel)
+    at_once, is_lossless = Backoff(first=0, most=0), place.rate == 0
+    frequency = next(filter(None, map(described_frequency, recording.channels.values())), None)
+    return Source(ask, transport, at_once, 5.0, None, is_lossless, channel=channel, frequency=frequency)

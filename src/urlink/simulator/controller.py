@@ -21,7 +21,7 @@ from urlink.arm.kinematics import Arm as Kinematics
 from urlink.arm.kinematics import DenavitHartenberg
 from urlink.arm.models import Model
 from urlink.arm.parameters import is_assumed
-from urlink.protocol.firmware import NEWEST, RELEASES, Firmware
+from urlink.protocol.firmware import NEWEST, RELEASES, Firmware, SlowFirmware
 from urlink.protocol.ports import PORTS, interface_of
 from urlink.session.address import Mounted, RobotAddress
 
@@ -123,6 +123,9 @@ class Controller(StrictAttributes):
             identified keep their defaults.
         scene: File with the bodies around the arm. The adapter for the suffix of this file opens it, such as
             urlink-mujoco for `.xml`.
+        frequency: Cycles per second, for tests that need fewer than a real controller executes: 25, 50, 100, 125, 250
+            or 500 Hz with firmware 5.0 or later, 25 or 125 Hz with older firmware. None selects the frequency of a real
+            controller.
 
     Attributes:
         host: Address that the controller listens on.
@@ -140,7 +143,7 @@ class Controller(StrictAttributes):
         BadVersion: If there is no such firmware.
         BadValue: If the firmware does not run on the model, `model` differs from the model of `like`, the calibration
             belongs to another kind of arm, or `ports` has none of the forms above. If an address in `reachable` is not
-            numeric, or the file `scene` does not exist.
+            numeric, the file `scene` does not exist, or a controller with this firmware cannot have the `frequency`.
         LocalError: If no adapter for the suffix of `scene` is installed, or the adapter cannot open the file.
     """
 
@@ -165,6 +168,7 @@ class Controller(StrictAttributes):
         zeroes_force: bool = is_assumed("force_zeroed_at_start"),
         like: ArmFile | None = None,
         scene: str | os.PathLike[str] | None = None,
+        frequency: int | None = None,
     ) -> None:
         if like is not None:
             if model is not None and models.model(model).name != like.model:
@@ -179,6 +183,8 @@ class Controller(StrictAttributes):
         kinematics = Kinematics(arm) if calibration is None else Kinematics.calibrated(arm, calibration)
         newest = NEWEST if arm.generation == "e" else _NEWEST_CB3
         chosen = firmware_for(arm, newest if firmware is None else firmware)
+        if frequency is not None:
+            chosen = chosen.at(frequency)
         self.host = host
         self.received: deque[tuple[str, str]] = deque(maxlen=RECEIVED)
         self._output_limit = output_limit
@@ -445,7 +451,7 @@ class Controller(StrictAttributes):
     # -- commands ------------------------------------------------------------------------------------
 
     def step(self, cycles: int = 1) -> None:
-        """Advance by controller cycles of 8 ms (CB) or 2 ms (e-Series).
+        """Advance by controller cycles of 8 ms (CB) or 2 ms (e-Series), or by longer ones at a lower `frequency`.
 
         If the controller serves its ports (`stepped`), any thread may call this. When the call returns, the packets of
         these cycles have been passed to the network.
@@ -603,7 +609,9 @@ class Controller(StrictAttributes):
         """
         if self._server is None:
             raise LocalError("the controller has no address, because it has not been started; call start() first")
-        return str(RobotAddress(self._own_host, self._all_ports))
+        firmware = self.firmware
+        frequency = firmware.rate if isinstance(firmware, SlowFirmware) else None
+        return str(RobotAddress(self._own_host, self._all_ports, frequency))
 
     @property
     def is_serving(self) -> bool:

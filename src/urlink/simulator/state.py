@@ -123,7 +123,7 @@ class ControllerState:
 
     Args:
         kinematics: Kinematics of the arm.
-        firmware: Firmware until the first reboot.
+        firmware: Firmware until the first reboot. Its rate is the number of cycles per second, also after a reboot.
         source: Source of set-points that the arm follows after each start of the controller.
         serial: Serial number of the arm.
         seed: Seed of the sensor noise.
@@ -245,7 +245,7 @@ class ControllerState:
         not modelled.
         """
         self.cycles_down = max(1, math.ceil(seconds * self.rate))
-        self._next_firmware = firmware or self.firmware
+        self._next_firmware = self.firmware if firmware is None else firmware.at(self.rate)
         self.outbox.take()
         self.arm.advance(self.period, Setpoint(self.arm.setpoint.q, [0.0] * 6, [0.0] * 6))
 

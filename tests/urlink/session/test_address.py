@@ -104,7 +104,7 @@ def test_recording_address_is_parsed(text: str, path: str, rate: float) -> None:
         ("ur://host?realtime=-1", "is not a port"),
         ("ur://host?realtime=" + "9" * 5000, "is not a port"),
         ("ur://host#30003", "unexpected #30003"),
-        ("sim://?speed=3", "unknown option 'speed'; expected firmware, motion, like, scene or gripper"),
+        ("sim://?speed=3", "unknown option 'speed'; expected firmware, motion, like, scene, gripper or frequency"),
         ("sim://?motion=dance", "motion='dance'; expected still or demo"),
         ("sim://?motion=", "motion=''; expected still or demo"),
         ("sim://?firmware=new", "'new' is not a version"),

@@ -158,12 +158,17 @@ class RealtimeBoundary:
 
 
 class RealtimeProtocol:
-    """Decoder of the bytes of one connection to typed states. Each connection needs a new object."""
+    """Decoder of the bytes of one connection to typed states. Each connection needs a new object.
+
+    Args:
+        rate: Packets per second of a simulated controller, in Hz; None if they follow from the size of the packets.
+    """
 
     #: ``decode(frame, stamp=None) -> RealtimeState``; raises `PacketError` if the packet is shorter than every layout
     decode: Callable[..., RealtimeState]
 
-    def __init__(self) -> None:
+    def __init__(self, rate: int | None = None) -> None:
+        self._rate = rate
         this = weakref.ref(self)  # weak, because the protocol holds the boundary
 
         def learn(size: int) -> None:
@@ -199,7 +204,8 @@ class RealtimeProtocol:
         """Choose the layout for the packet size of this connection."""
         is_first = self.cycles is None
         if is_first:
-            self.cycles = MissedCycles(_moment, periods_of(size), time=_TIME.unpack_from, size=size)
+            periods = periods_of(size) if self._rate is None else (1.0 / self._rate,)
+            self.cycles = MissedCycles(_moment, periods, time=_TIME.unpack_from, size=size)
         decode = None
         if all(layout.size != size for layout in RealtimeState.LAYOUTS.all):
             _log.warning(

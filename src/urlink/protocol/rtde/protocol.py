@@ -56,6 +56,8 @@ CLOCK = "timestamp"
 #: Maximum number of cycles between two data packages for which a period is considered, because a frequency can be
 #: arbitrarily low.
 _SLOWEST = 1e9
+#: Data packages per second with protocol 1.
+RATE_1 = 125
 
 _LEVELS = {
     MessageLevel.EXCEPTION: logging.ERROR,
@@ -127,6 +129,7 @@ class Requests:
         inputs: Names of the input variables to claim, recipe by recipe. May grow during a connection.
         kind: Base class of the states.
         recorded: Recipe that was in use when a recording began.
+        rate: Cycles per second of a simulated controller, in Hz; None if they follow from the firmware.
     """
 
     outputs: tuple[str, ...] = ()
@@ -135,6 +138,7 @@ class Requests:
     inputs: list[tuple[str, ...]] = field(default_factory=list)
     kind: type[Outputs] = Outputs
     recorded: Recipe | None = None
+    rate: int | None = None
 
 
 class RtdeProtocol:
@@ -172,6 +176,13 @@ class RtdeProtocol:
             self.protocol = 1 if plan.recorded.number is None else 2
         self._ask(ProtocolRequest(wanted=2), ProtocolReply)
 
+    @property
+    def _rate(self) -> int | None:
+        """Cycles of the controller per second; None before the controller has reported its firmware."""
+        if self._plan.rate is not None:
+            return self._plan.rate
+        return None if self.controller is None else self.controller.rate
+
     # -- requests ---------------------------------------------------------------------------------
 
     def requests(self) -> bytes:
@@ -191,8 +202,9 @@ class RtdeProtocol:
     def _ask_next(self) -> None:
         """Prepare the next request of the plan that has no reply yet."""
         if self._outputs and self.recipe is None:
-            assert self.controller is not None, "the version was requested before"
-            frequency = float(self.controller.rate) if self._plan.frequency is None else self._plan.frequency
+            rate = self._rate
+            assert rate is not None, "the version was requested before"
+            frequency = float(rate) if self._plan.frequency is None else self._plan.frequency
             names = join_names(self._outputs)
             self._ask(OutputsRequest(f"{self.protocol}.0", frequency=frequency, names=names), OutputsReply)
         elif len(self.claims) < len(self._plan.inputs):
@@ -232,8 +244,11 @@ class RtdeProtocol:
     def _answered(self, reply: Any) -> None:
         if isinstance(reply, ProtocolReply):
             self.protocol = 2 if reply.accepted else 1
-            if not reply.accepted and self._plan.frequency not in (None, 125):
-                _log.warning("RTDE protocol 2 was refused: data arrives at 125 Hz, not %g Hz", self._plan.frequency)
+            most = RATE_1 if self._plan.rate is None else min(RATE_1, self._plan.rate)
+            if not reply.accepted and self._plan.frequency not in (None, most):
+                _log.warning(
+                    "RTDE protocol 2 was refused: data arrives at %d Hz, not %g Hz", most, self._plan.frequency
+                )
             self._ask(ControllerVersionRequest(), ControllerVersionReply)
         elif isinstance(reply, ControllerVersionReply):
             self.controller = Firmware(reply.major, reply.minor, reply.bugfix, reply.build)
@@ -274,7 +289,7 @@ class RtdeProtocol:
         self._decode = layout.decode
         self.cycles = None
         if CLOCK in layout.places:
-            periods = package_periods(self._plan.frequency, self.controller, recipe.number)
+            periods = package_periods(self._plan.frequency, self._rate, recipe.number)
             time = struct.Struct(f">{layout.places[CLOCK].offset}xd").unpack_from
             self.cycles = MissedCycles(_moment_of(time, recipe.size), periods, time=time, size=recipe.size)
 
@@ -305,20 +320,21 @@ class RtdeProtocol:
         return packet
 
 
-def package_periods(frequency: float | None, controller: Firmware | None, number: int | None) -> tuple[float, ...]:
-    """Return the possible periods of data packages, in s. There are several if the controller is unknown.
+def package_periods(frequency: float | None, rate: int | None, number: int | None) -> tuple[float, ...]:
+    """Return the possible periods of data packages, in s. There are several if the rate of the controller is unknown.
 
     With protocol 2, the controller sends in every floor(rate / frequency)-th cycle (docs/protocols/rtde.md, section
     Rules).
 
     Args:
         frequency: Requested rate in Hz; None for the maximum.
-        controller: Firmware of the controller; None if unknown, as in a recording that began later.
-        number: Number of the recipe; None under protocol 1, which sends at 125 Hz.
+        rate: Cycles of the controller per second; None if unknown, as in a recording that began later.
+        number: Number of the recipe; None under protocol 1, which sends at 125 Hz, or at the rate of a slower
+            controller.
     """
     if number is None:
-        return (1 / 125,)
-    rates = (125, 500) if controller is None else (controller.rate,)
+        return (1 / min(RATE_1, rate or RATE_1),)
+    rates = (125, 500) if rate is None else (rate,)
     return tuple({max(math.floor(min(rate / (frequency or rate), _SLOWEST)), 1) / rate for rate in rates})
 
 

@@ -284,7 +284,7 @@ class RtdeSession(InterfaceReceiver):
         """Return the number of cycles from one package to the next; None if the frequency is invalid."""
         rate = self._state.rate
         if frequency is None:
-            return rate // RATE_1
+            return max(1, rate // RATE_1)
         if not 0.0 < frequency < math.inf:
             return None
         # Without the minimum, the quotient would be infinite for a frequency such as 5e-324.
