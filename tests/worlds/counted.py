@@ -62,6 +62,7 @@ class Counted:
         """Count packets while the block lasts."""
         with (
             replaced(FanOut, "publish", self._publish),
+            replaced(FanOut, "publish_steady", self._publish),
             replaced(FanOut, "add", self._add),
             replaced(FanOut, "remove", self._remove),
             replaced(Connection, "_tell", self._tell),

@@ -224,6 +224,7 @@ class Observed:
             (Robot, "rtde", self._rtde),
             (Robot, "close", self._leave),
             (FanOut, "publish", self._publish),
+            (FanOut, "publish_steady", self._publish),
             (Connection, "_disconnected", self._disconnected),
             (Computer, "suspend", self._suspend),
             (Computer, "resume", self._resume),

@@ -175,7 +175,7 @@ DEFECTS: Mapping[str, Sequence[Change]] = {
         ),
     ],
     "speed-outlives-its-program": [
-        Change("urlink.motion.motions", "Motions._speed", "if False:", before="if duration > UNLED:"),
+        Change("urlink.motion.motions", "Motions._speed", "if False:", before="if duration > UNLED or is_watched:"),
     ],
     "stop-after-the-next": [
         Change(

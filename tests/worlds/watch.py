@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 from linkcore.simulated import Simulation
 from urlink.simulator import Controller
+from urlink.simulator.robot.sensors import Samples
 
 from . import guarded, learned, waits
 from .counted import Counted
@@ -96,6 +97,13 @@ class Watch:
             self._look()
 
         controller._control.advance = observed  # type: ignore[method-assign]
+        follow = controller._control.follow
+
+        def follow_at_rest(cycles: int) -> Samples | None:
+            # Each cycle of a moving arm is checked. A test of the simulator compares cycles that are executed at once.
+            return follow(cycles) if controller.arm.is_unchanging else None
+
+        controller._control.follow = follow_at_rest  # type: ignore[method-assign]
 
     @contextlib.contextmanager
     def watching(self) -> Iterator[None]:

@@ -328,7 +328,8 @@ class SafetyMonitor:
 
     def _renew(self, name: str, state: State) -> None:
         """Record the time of a state that shows the same modes as the previous one."""
-        self._interlock.renew(name, self._came(state))
+        with self._section.lock:
+            self._interlock.renew(name, self._came(state))
 
     def _came(self, packet: State) -> float:
         return packet.received.monotonic if packet.received is not None else self.clock()
