@@ -62,7 +62,6 @@ class Counted:
         """Count packets while the block lasts."""
         with (
             replaced(FanOut, "publish", self._publish),
-            replaced(FanOut, "publish_steady", self._publish),
             replaced(FanOut, "add", self._add),
             replaced(FanOut, "remove", self._remove),
             replaced(Connection, "_tell", self._tell),
@@ -75,7 +74,7 @@ class Counted:
         return self._streams.setdefault(fan_out, _Stream())
 
     def _publish(self, publish: Callable[..., None]) -> Callable[..., None]:
-        def wrapped(fan_out: FanOut, packets: Any) -> None:
+        def wrapped(fan_out: FanOut, packets: Any, is_steady: bool = False) -> None:
             stream = self._of(fan_out)
             stream.begun += len(packets)
             for state in packets:
@@ -85,7 +84,7 @@ class Counted:
                     stream.is_known |= stream.last is not None and cycles == 1
                     stream.is_vague |= cycles > 1 and not stream.is_known
                     stream.last = state.time
-            publish(fan_out, packets)
+            publish(fan_out, packets, is_steady)
             stream.done += len(packets)
 
         return wrapped

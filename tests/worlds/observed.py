@@ -224,7 +224,6 @@ class Observed:
             (Robot, "rtde", self._rtde),
             (Robot, "close", self._leave),
             (FanOut, "publish", self._publish),
-            (FanOut, "publish_steady", self._publish),
             (Connection, "_disconnected", self._disconnected),
             (Computer, "suspend", self._suspend),
             (Computer, "resume", self._resume),
@@ -445,7 +444,7 @@ class Observed:
         return property(made)
 
     def _publish(self, publish: Callable[..., None]) -> Callable[..., None]:
-        def wrapped(fan_out: FanOut, packets: Any) -> None:
+        def wrapped(fan_out: FanOut, packets: Any, is_steady: bool = False) -> None:
             states = [packet for packet in packets if type(packet) is RealtimeState]
             if states:
                 known = self._known.setdefault(here(), _Known())
@@ -458,7 +457,7 @@ class Observed:
                     known.next_stopped = known.next_stopped + 1 if holds else 0
                 if not known.next_stopped:
                     known.stopped = 0
-            publish(fan_out, packets)
+            publish(fan_out, packets, is_steady)
 
         return wrapped
 

@@ -97,13 +97,13 @@ class Watch:
             self._look()
 
         controller._control.advance = observed  # type: ignore[method-assign]
-        follow = controller._control.follow
+        advance_many = controller._control.advance_many
 
-        def follow_at_rest(cycles: int) -> Samples | None:
+        def many_at_rest(cycles: int) -> Samples | None:
             # Each cycle of a moving arm is checked. A test of the simulator compares cycles that are executed at once.
-            return follow(cycles) if controller.arm.is_unchanging else None
+            return advance_many(cycles) if controller.arm.is_unchanging else None
 
-        controller._control.follow = follow_at_rest  # type: ignore[method-assign]
+        controller._control.advance_many = many_at_rest  # type: ignore[method-assign]
 
     @contextlib.contextmanager
     def watching(self) -> Iterator[None]:

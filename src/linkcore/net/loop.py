@@ -168,14 +168,17 @@ class Connection:
         else:
             self._watch()
 
+    @property
+    def _is_direct(self) -> bool:
+        """Whether the next data goes directly to a simulated socket, because no earlier data waits."""
+        return self._sends_deferred and not self._pending and self.is_open and not self._is_deaf
+
     def write_steady(self, packet: Deferred) -> bool:
         """Send a steady packet, and let simulated time pass until it arrives.
 
         Return False, and send nothing, if something else could happen before that, and always in real time.
         """
-        if not self._sends_deferred or self._pending or not self.is_open or self._is_deaf:
-            return False
-        if not self._socket.send_steady(packet):  # type: ignore[attr-defined]  # it is a simulated socket
+        if not self._is_direct or not self._socket.send_steady(packet):  # type: ignore[attr-defined]  # it is a simulated socket
             return False
         self.last_activity = self._loop.time()
         return True
@@ -183,7 +186,7 @@ class Connection:
     @property
     def quiet_time(self) -> float:
         """Time in s for which `write_batch` may send packets at once; always 0 in real time."""
-        if not self._sends_deferred or self._pending or not self.is_open or self._is_deaf:
+        if not self._is_direct:
             return 0.0
         seconds: float = self._socket.quiet_time  # type: ignore[attr-defined]  # it is a simulated socket
         return seconds

@@ -313,10 +313,7 @@ class End:
         scheduler.note(packet.head)
         scheduler.now = self._arrives = max(scheduler.now + takes, self._arrives)
         self._sent = self._acknowledged = self._delivered = self._sent + size
-        owner = peer.owner
-        if peer.received or owner is None or not owner.pass_on(packet):
-            peer.received.put(packet)
-            peer._changed()
+        peer._receive(packet)
         return True
 
     @property
@@ -409,24 +406,28 @@ class End:
         if data and len(peer.received) + len(data) > BUFFER:
             return  # no room: sent again later
         self._delivered += len(data) or 1
-        if data and not peer.is_closing:
-            owner = peer.owner
-            if (
-                isinstance(data, (Deferred, SteadyBytes))
-                and not peer.received
-                and owner is not None
-                and owner.pass_on(data)
-            ):
-                self._acknowledge()
-                return
-            peer.received.put(data)
-        elif data:
+        if data and peer.is_closing:
             peer._send_reset(self)  # no program will read it
             return
+        if data:
+            peer._receive(data)
         else:
             peer.is_ended = True
+            peer._changed()
         self._acknowledge()
-        peer._changed()
+
+    def _receive(self, data: bytes | Deferred) -> None:
+        """Pass arrived data to the program, or keep them until the program reads them."""
+        owner = self.owner
+        if (
+            isinstance(data, (Deferred, SteadyBytes))
+            and not self.received
+            and owner is not None
+            and owner.pass_on(data)
+        ):
+            return
+        self.received.put(data)
+        self._changed()
 
     def _acknowledge(self) -> None:
         peer = self.peer

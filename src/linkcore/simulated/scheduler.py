@@ -465,21 +465,18 @@ class Scheduler:
                 task.is_ready = False
                 self.trace = zlib.crc32(_CHOICE.pack(task.number, self.now), self.trace)
                 return task
-            first = self.tasks[0]
             if not due:
-                self._interrupt(first, Deadlock(f"at {self.now:.6f} s every thread waits forever\n{self.stacks()}"))
+                self.interrupt(Deadlock(f"at {self.now:.6f} s every thread waits forever\n{self.stacks()}"))
             elif due[0][0] > self.limit:
                 error = TimeLimit(f"the simulated time exceeds its limit of {self.limit:g} s\n{self.stacks()}")
                 self.limit = _NEVER
-                self._interrupt(first, error)
+                self.interrupt(error)
             else:
                 self.now = due[0][0]
 
     def interrupt(self, error: BaseException) -> None:
-        """Raise an error in the first task, soon."""
-        self._interrupt(self.tasks[0], error)
-
-    def _interrupt(self, task: Task, error: BaseException) -> None:
+        """Raise an error in the first task, as soon as it runs."""
+        task = self.tasks[0]
         task.error = error
         task.computer.is_running = True
         task.is_ready = False

@@ -452,8 +452,8 @@ class Connection:
             self._finish(self._life.error)
         return wait
 
-    def _take(self, receiver: Receiver, data: bytes, stamp: Stamp) -> None:
-        """Decode received bytes, and publish the packets that they complete.
+    def _take(self, receiver: Receiver, data: bytes, stamp: Stamp, is_steady: bool = False) -> None:
+        """Decode received bytes, and publish the packets that they complete; for `is_steady`, see `FanOut.publish`.
 
         Raises:
             WrongPeer: If the bytes do not belong to such a stream.
@@ -467,7 +467,7 @@ class Connection:
             silence.last = stamp[0]
             if silence.is_quiet:
                 silence.end(stamp[0])
-            fan_out.publish(packets)
+            fan_out.publish(packets, is_steady)
         else:
             silence.no_packet(stamp[0])
 
@@ -476,16 +476,10 @@ class Connection:
 
         Return whether the packet was published, and the seconds that the reader waits for the next data.
         """
-        fan_out, silence = self.fan_out, self.silence
-        if not (fan_out.takes_at_once() and receiver.is_next(data)):
+        if not (self.fan_out.takes_at_once() and receiver.is_next(data)):
             return False, None
-        stamp = Stamp.now()
-        packets = receiver.feed(data, stamp)
-        silence.last = stamp[0]
-        if silence.is_quiet:
-            silence.end(stamp[0])
-        fan_out.publish_steady(packets)
-        return True, silence.wait
+        self._take(receiver, data, Stamp.now(), is_steady=True)
+        return True, self.silence.wait
 
     def _disconnected(self, error: Exception | None) -> None:
         self._transport.abort()

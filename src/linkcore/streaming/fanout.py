@@ -105,8 +105,12 @@ class FanOut:
                 sink.offer((Chunk(rest, stamp),))
             sink.offer((_new(Chunk, (bytes(data), stamp)),))
 
-    def publish(self, packets: Sequence[Any]) -> None:
+    def publish(self, packets: Sequence[Any], is_steady: bool = False) -> None:
         """Publish one or more packets, in order.
+
+        Args:
+            packets: Packets.
+            is_steady: Whether the packets are steady, and `takes_at_once` has just returned True.
 
         Each packet goes to all inline callbacks before the next packet does, because one callback might depend on the
         result of another one. For example, a stop and the start of a program might arrive in the same bytes, and a
@@ -119,12 +123,12 @@ class FanOut:
                 self._remember(packet)
                 for part in self._parts(packet):
                     self._remember(part)
-        every, queues, callbacks = self._offers
-        if len(packets) == 1:
-            for offer in every:
-                offer(packets)
+        if is_steady:
+            for sink in self._steady:
+                sink.offer_steady(packets)
             return
-        if len(callbacks) < 2:
+        every, queues, callbacks = self._offers
+        if len(packets) == 1 or len(callbacks) < 2:
             for offer in every:
                 offer(packets)
             return
@@ -133,15 +137,6 @@ class FanOut:
         for packet in packets:
             for offer in callbacks:
                 offer((packet,))
-
-    def publish_steady(self, packets: Sequence[Any]) -> None:
-        """Publish steady packets, in order. `takes_at_once` has returned True."""
-        if self._parts is None:
-            self._last = packets[-1]
-        else:
-            self._remember(packets[-1])
-        for sink in self._steady:
-            sink.offer_steady(packets)
 
     def takes_batches(self) -> bool:
         """Whether no sink needs each of several steady packets at the time of its arrival."""

@@ -67,7 +67,7 @@ class ControlLoop:
         """Whether the next cycles depend only on the state of the controller, so that they can be executed early."""
         return self._state.is_up and self._state.surroundings.is_empty and self._runner.is_self_contained
 
-    def follow(self, cycles: int) -> Samples | None:
+    def advance_many(self, cycles: int) -> Samples | None:
         """Execute several cycles at once, at most `cycles`, if only the time and the set-points change in them.
 
         Call it directly after a cycle. Return the sensors of that cycle and of the executed ones; None if the next
@@ -76,18 +76,17 @@ class ControlLoop:
         state, arm, period = self._state, self._state.arm, self._state.period
         if not (state.is_up and state.modes.is_unchanging):
             return None
-        first = arm.sample
-        if arm.is_unchanging and self._runner.is_unchanging:
-            samples = Samples(first, Course(arm.setpoint), arm.follow(Course(arm.setpoint), cycles, period))
-        else:
+        first, program, then = arm.sample, None, None
+        if not (arm.is_unchanging and self._runner.is_unchanging):
             program = self._runner.moving_program if arm.is_gliding else None
             then = None if program is None else program.course(cycles, period)
-            if program is None or then is None or not then.size:
+            if then is None or not then.size:
                 return None
             cycles = then.shape[1]
-            course = Course(arm.setpoint, then)
-            samples = Samples(first, course, arm.follow(course, cycles, period))
-            program.follow(cycles, period, course[cycles], [SampleAt(samples, at) for at in range(cycles)])
+        course = Course(arm.setpoint, then)
+        samples = Samples(first, course, arm.advance_along(course, cycles, period))
+        if program is not None:
+            program.advance_along(cycles, period, course[cycles], [SampleAt(samples, at) for at in range(cycles)])
         state.cycle += cycles
         state.uptime += cycles
         return samples

@@ -308,7 +308,7 @@ class Server:
             packet = realtime.steady_packet()
             if packet is None or not state.outbox.is_empty:
                 self._is_held = True
-            elif not packets and (samples := control.follow(last - state.cycle)) is not None:
+            elif not packets and (samples := control.advance_many(last - state.cycle)) is not None:
                 packets = realtime.later_packets(samples)
                 break
             else:

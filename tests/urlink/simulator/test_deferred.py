@@ -220,7 +220,7 @@ def test_cycles_executed_at_once_send_the_same_bytes(
     for length in lengths * 4:
         at_once.step()
         packets.append(at_once.realtime_packet())
-        samples = at_once._control.follow(length)
+        samples = at_once._control.advance_many(length)
         if samples is not None:
             packets += map(bytes, at_once._realtime.later_packets(samples)[1:])
             count += len(samples) - 1
@@ -238,7 +238,7 @@ def test_joint_motion_is_executed_at_once() -> None:
     controller = Controller(firmware="5.11")
     controller.take("movej([0.1, -1.5, 1.5, -1.6, -1.6, 0.2], a=1, v=1)\n")
     controller.step(100)
-    samples = controller._control.follow(50)
+    samples = controller._control.advance_many(50)
     assert samples is not None
     assert len(samples) == 51
     assert samples[50].q_target != samples[0].q_target
@@ -258,7 +258,7 @@ def test_other_motions_are_executed_cycle_by_cycle(text: str) -> None:
     controller.take(f"{text}\n")
     controller.step(100)
     assert controller.arm.is_moving
-    assert controller._control.follow(50) is None
+    assert controller._control.advance_many(50) is None
 
 
 def test_transition_to_a_joint_motion_is_executed_cycle_by_cycle() -> None:
@@ -267,9 +267,9 @@ def test_transition_to_a_joint_motion_is_executed_cycle_by_cycle() -> None:
         "def p():\n  speedj([0.8, 0, 0, 0, 0, 0], 5, 1.5)\n  movej([3.5, -1.5, 1.5, -1.6, -1.6, 0.2])\nend\n"
     )
     controller.step(810)
-    assert controller._control.follow(50) is None
+    assert controller._control.advance_many(50) is None
     controller.step(100)
-    assert controller._control.follow(50) is not None
+    assert controller._control.advance_many(50) is not None
 
 
 def test_program_with_two_threads_runs_cycle_by_cycle() -> None:
@@ -280,7 +280,7 @@ def test_program_with_two_threads_runs_cycle_by_cycle() -> None:
     )
     controller.step(100)
     assert controller.arm.is_moving
-    assert controller._control.follow(50) is None
+    assert controller._control.advance_many(50) is None
 
 
 def test_change_of_the_modes_is_not_steady_when_it_is_sent() -> None:

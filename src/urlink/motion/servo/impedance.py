@@ -35,8 +35,9 @@ from .setpoints import LinkDialogue
 #: Step of a counter, and fraction of the messages that contain the gains or the posture. The step is not a simple
 #: fraction. Therefore a program that receives only every n-th message still receives all kinds of messages.
 _GOLDEN, _GAINS_SHARE = 0.6180339887, 0.25
-#: Largest time in s, chosen, until the program has taken a target; and largest share by which an arm swings beyond the
-#: speed of its aim, for which speeds are limited in advance. An arm that swings further is only watched.
+#: Largest time in s until the program has taken a target (chosen). An arm can swing beyond the speed of its aim. If it
+#: exceeds this speed by up to the second number, as a share, speeds are limited in advance. Beyond that, the arm is
+#: only watched.
 _LATEST, _MOST_SWING = 0.1, 0.9
 
 
@@ -85,7 +86,7 @@ class Impedance(BlockMotion):
             limited.limits.check_places(np.array([target[:3]]))
             return 0.0
         now, end = self._context.clock(), np.array(target)
-        shortest = longest = seconds = 0.0
+        shortest = seconds = 0.0
         begins = [limited.q] if self._ramp is None else self._ramp.places(now)
         for begin in begins:
             way = end - begin

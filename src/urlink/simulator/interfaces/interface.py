@@ -156,7 +156,7 @@ class Interface(ABC):
         """Return the steady packets of cycles in which only the time and the targets change.
 
         Args:
-            samples: Sensors of each cycle; see `ControlLoop.follow`.
+            samples: Sensors of each cycle; see `ControlLoop.advance_many`.
         """
         raise NotImplementedError
 

@@ -63,7 +63,7 @@ class RealtimeInterface(Interface):
         return RealtimePacket(self._form, self._shown, is_steady)
 
     def later_packets(self, samples: Samples) -> LaterPackets:
-        """Return the packets of the cycle of the last packet, and of later cycles; see `ControlLoop.follow`.
+        """Return the packets of the cycle of the last packet, and of later cycles; see `ControlLoop.advance_many`.
 
         Args:
             samples: Sensors of each of these cycles.

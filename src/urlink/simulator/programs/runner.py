@@ -99,7 +99,7 @@ class RunningProgram:
             return None
         return self._drive.course(cycles, seconds)
 
-    def follow(self, cycles: int, seconds: float, last: Setpoint, sensors: Iterable[SampleAt]) -> None:
+    def advance_along(self, cycles: int, seconds: float, last: Setpoint, sensors: Iterable[SampleAt]) -> None:
         """Advance by this number of cycles of `course`.
 
         Args:
@@ -108,7 +108,7 @@ class RunningProgram:
             sensors: Sensors before each cycle.
         """
         self.execution.remember(sensors)
-        self._drive.follow(cycles, seconds, last)
+        self._drive.advance_along(cycles, seconds, last)
 
     @property
     def is_unchanging(self) -> bool:

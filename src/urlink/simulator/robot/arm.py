@@ -177,7 +177,7 @@ class SimulatedArm:
             and self.force_sensor.is_unchanging
         )
 
-    def follow(self, course: Course, cycles: int, seconds: float) -> list[float]:
+    def advance_along(self, course: Course, cycles: int, seconds: float) -> list[float]:
         """Advance by some cycles along a course; see `is_unchanging` and `is_gliding`.
 
         Return the time since the arm was switched on, in s, at the beginning and after each cycle.

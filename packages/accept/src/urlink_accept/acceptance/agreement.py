@@ -101,7 +101,7 @@ _FEWEST = 8
 #: Largest relative differences because of rounding, for numbers of 64 and of 32 bits; and the fraction of packets that
 #: may differ.
 _ROUNDING, _ROUNDING_32, _SOME = 1e-6, 1e-5, 0.02
-#: Time in s before a packet for which a delay of this computer can still affect the packet.
+#: Time in s. A delay of this computer can still affect a packet that arrives within this time after the delay.
 _EARLIER = 1.0
 
 
@@ -229,8 +229,8 @@ def _is_disturbed(evidence: Evidence, arrived: Column, at: int) -> bool:
 def _other_mode(own: Column, other: Column, is_disturbed: Callable[[int], bool]) -> str:
     """Return a description of the difference of a mode on two interfaces; "" if there is none.
 
-    A mode may change one state later on one of the interfaces. If few states differ, the states do not count for which
-    `is_disturbed` returns True for their index: a busy computer can lose the states before and after, and a simulated
+    A mode may change one state later on one of the interfaces. If only few states differ, a state does not count if
+    `is_disturbed` returns True for its index. A busy computer can lose the states before and after it, and a simulated
     controller can be interrupted between two interfaces.
     """
     own, other = own.reshape(len(own), -1), other.reshape(len(other), -1)

@@ -18,7 +18,8 @@ from .standing import BEGIN, END, SLEEP, Told
 #: Silence of the real-time interface, in s, above which times are not judged. A time up to the second value, in s, is
 #: accepted in spite of such a silence.
 HELD_UP, _QUICK = 0.1, 0.05
-#: Time before a step, in s, with which the step is compared; fraction of missing packets that hides other losses.
+#: Length in s of the time before a step that the step is compared with, and fraction of missing packets that hides
+#: other losses.
 _BEFORE, _MISSING = 1.0, 0.05
 
 

@@ -138,9 +138,9 @@ class ArmDrive:
         """See `MotionGenerator.course`."""
         return None if self.yields else self.generator.course(cycles, seconds)
 
-    def follow(self, cycles: int, seconds: float, last: Setpoint) -> None:
+    def advance_along(self, cycles: int, seconds: float, last: Setpoint) -> None:
         """Advance by this number of cycles of `course`, to the set-point `last`."""
-        self.generator.follow(cycles, seconds, last)
+        self.generator.advance_along(cycles, seconds, last)
         self.setpoint = last
 
     def start(self, q: Sequence[float]) -> None:

@@ -102,7 +102,7 @@ class JointLimits:
             self._check_range(last, new)
 
     def count_allowed(self, last: Setpoint, course: FloatArray, seconds: float) -> int:
-        """Return the number of set-points from the first one that `check` certainly accepts.
+        """Return how many of the set-points, counted from the first one, `check` would accept.
 
         Args:
             last: Set-point before them.

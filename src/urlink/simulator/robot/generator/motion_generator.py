@@ -164,10 +164,10 @@ class MotionGenerator:
             return None
         return course[:, : self._limits.count_allowed(self.setpoint, course, seconds)]
 
-    def follow(self, cycles: int, seconds: float, last: Setpoint) -> None:
+    def advance_along(self, cycles: int, seconds: float, last: Setpoint) -> None:
         """Advance by this number of cycles of `course`, to the set-point `last`."""
         assert isinstance(self._command, PathMove)
-        self._command.follow(cycles, seconds, self.scaling, last)
+        self._command.advance_along(cycles, seconds, self.scaling, last)
         self._rise = self._parameters.slider_rate
         self.setpoint = last
 

@@ -413,7 +413,7 @@ class PathMove(Command):
         way, speed, acceleration = self._profile.course(times[times < self._profile.duration])
         return self._path.course(way, speed * scaling, acceleration * scaling * scaling)
 
-    def follow(self, cycles: int, seconds: float, scaling: float, last: Setpoint) -> None:
+    def advance_along(self, cycles: int, seconds: float, scaling: float, last: Setpoint) -> None:
         """Advance by this number of cycles of `course`, to the set-point `last`."""
         for time in self._times(cycles, seconds, scaling):
             self._time = time
