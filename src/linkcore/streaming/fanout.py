@@ -140,7 +140,7 @@ class FanOut:
 
     def takes_batches(self) -> bool:
         """Whether no sink needs each of several steady packets at the time of its arrival."""
-        return not self.taps and self._parts is None and all(sink.only_changes() for sink in self._steady)
+        return not self.taps and all(sink.only_changes() for sink in self._steady)
 
     def takes_at_once(self) -> bool:
         """Whether no sink makes the reader wait, or calls a function of the user, for a steady packet."""

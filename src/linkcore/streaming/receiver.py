@@ -166,7 +166,7 @@ class DeferredReceiver(Receiver):
 
     def is_next(self, data: Deferred | SteadyBytes) -> bool:
         """Whether a packet directly follows the last one of this connection. Otherwise it might not be steady."""
-        if isinstance(data, SteadyBytes):
+        if isinstance(data.first if isinstance(data, DeferredBatch) else data, SteadyBytes):
             return not self.rest  # its predecessor is the previous packet of this connection
         cycles = self._protocol.cycles
         return cycles is not None and cycles.is_next(cycles.time(data.head)[0])

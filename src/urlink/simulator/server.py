@@ -18,7 +18,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 
 from linkcore import clock
-from linkcore.deferred import Deferred
+from linkcore.deferred import LONGEST_BATCH, Deferred, SteadyBytes
 from linkcore.net.loop import Connection, Handler, ListeningPort, SelectorLoop
 from urlink.protocol.ports import interface_of
 
@@ -42,8 +42,6 @@ LEAST_RATE = 10
 CHUNK = 1 << 12
 #: Maximum time that other threads wait for the server's thread, in seconds.
 TIMEOUT = 5.0
-#: Maximum number of cycles that are executed before they are due.
-MOST_AHEAD = 64
 #: Seconds within which a client must take the last reply before its connection is closed.
 LAST_REPLY = 2.0
 
@@ -65,6 +63,13 @@ class _Client(Handler):
 
     def send(self, packet: bytes) -> None:
         self._server.send(self, packet)
+
+    @property
+    def last_quiet_cycle(self) -> int:
+        return self._server.last_quiet_cycle(self)
+
+    def send_batch(self, packets: Sequence[Deferred | SteadyBytes], cycles: Sequence[int]) -> None:
+        self._server.send_batch(self, packets, cycles)
 
     @property
     def pending(self) -> int:
@@ -134,8 +139,10 @@ class Server:
         self._state = state
         self.counters = state.counters
         self._interfaces = interfaces
-        # Interfaces that send packets on their own; the others only reply to clients.
-        self._emitting = [item for item in interfaces.items() if type(item[1]).packets is not Interface.packets]
+        # Interfaces that send packets on their own; the others only reply to clients. The real-time interface is the
+        # last one, because its packets wake most threads, and other packets can only arrive at once while none is ready.
+        emitting = [item for item in interfaces.items() if type(item[1]).packets is not Interface.packets]
+        self._emitting = sorted(emitting, key=lambda item: item[0] == "realtime")
         self._loader = loader
         self._link = link
         self._sockets = SelectorLoop(clock)
@@ -145,6 +152,8 @@ class Server:
         self._is_changed = False
         # Whether the current cycle was executed before it is due, and its packets must be sent when it is due.
         self._is_held = False
+        # Whether steady packets may arrive at once, because the cycle that is due is the only work to do.
+        self._passes_on = False
         # Whether the last `catch_up` ran out of time.
         self._is_behind = False
         self._rate = state.rate
@@ -250,18 +259,22 @@ class Server:
         client = None if self._is_held or self._link.is_any_stalled else self._only_client
         if client is not None:
             self._run_ahead(client)
-            if self._state.cycle == now - 1 and self._pass_on(client):
+            if self._state.cycle == now - 1 and self._pass_on(client.connection):
                 return self._epoch + (now + 1 - self._first) / self._rate
-        self.catch_up()
+            self._passes_on = self._state.cycle == now - 1
+        try:
+            self.catch_up()
+        finally:
+            self._passes_on = False
         return self._due()
 
     @property
-    def _only_client(self) -> Connection | None:
-        """Connection of the only client of the real-time interface; None without one, or if its link has faults."""
+    def _only_client(self) -> _Client | None:
+        """The only client of the real-time interface; None without one, or if its link has faults."""
         clients = self._clients.get("realtime", ())
         if len(clients) != 1 or self._clients.get("realtime_readonly") or clients[0].segmenter is not None:
             return None
-        return clients[0].connection
+        return clients[0]
 
     def _pass_on(self, client: Connection) -> bool:
         """Execute the cycle that is due, and let its real-time packet arrive; return False if it could not arrive yet.
@@ -284,23 +297,25 @@ class Server:
         self._settle()
         return True
 
-    def _run_ahead(self, client: Connection) -> None:
-        """Execute cycles before they are due, and send their real-time packets at once.
+    def _run_ahead(self, client: _Client) -> None:
+        """Execute cycles before they are due, and send their packets at once.
 
         This is possible in simulated time while nothing else can happen, the programs use nothing outside of the
-        controller, and the only client of the real-time interface needs no packet at a certain time. The packets that
-        are sent together show the same modes and signals. A cycle that changes one of them, or that sends a message, is
-        executed too, but its packets are sent when the cycle is due.
+        controller, and the clients need no packet at a certain time. The real-time packets that are sent together show
+        the same modes and signals. A cycle that changes one of them, or that sends a message, is executed too, but its
+        packets are sent when the cycle is due.
         """
         state, control = self._state, self._control
-        quiet = client.quiet_time
-        if quiet * self._rate < 2.0 or not control.is_self_contained:
-            return
-        now = self._clock()
         begin = state.cycle
-        last = min(self._first + int((now + quiet - self._epoch) * self._rate), begin + MOST_AHEAD)
-        others = [self._interfaces[kind].next_cycle(begin) for kind in self._watched if kind != "realtime"]
-        last = min([last, *(each - 1 for each in (*others, control.next_fault()) if each is not None)])
+        last = client.last_quiet_cycle
+        if last < begin + 2 or not control.is_self_contained:
+            return
+        fault = control.next_fault()
+        if fault is not None:
+            last = min(last, fault - 1)
+        others = [self._interfaces[kind] for kind in self._watched if kind != "realtime"]
+        for interface in others:
+            last = interface.last_ahead(begin, last)
         realtime = self._interfaces["realtime"]
         packets: Sequence[Deferred] = []
         while state.cycle < last and not self._is_held:
@@ -314,9 +329,25 @@ class Server:
             else:
                 packets = [*packets, packet]
         if packets:
-            due = [self._epoch + (begin + 1 + at - self._first) / self._rate for at in range(len(packets))]
-            client.write_batch(packets, [max(each - now, 0.0) for each in due])
-            self.counters.sent += len(packets)
+            client.send_batch(packets, range(begin + 1, begin + 1 + len(packets)))
+            for interface in others:
+                interface.send_ahead(begin + len(packets))
+
+    def last_quiet_cycle(self, client: _Client) -> int:
+        """Return the last cycle whose packets can be sent to a client now; see `InterfaceClient.last_quiet_cycle`."""
+        if client.segmenter is not None or self._link.is_any_stalled:
+            return self._state.cycle
+        quiet = min(client.connection.quiet_time, LONGEST_BATCH)
+        if quiet <= 0.0:
+            return self._state.cycle
+        return self._first + int((self._clock() + quiet - self._epoch) * self._rate)
+
+    def send_batch(self, client: _Client, packets: Sequence[Deferred | SteadyBytes], cycles: Sequence[int]) -> None:
+        """Send the packets of several cycles to a client before these cycles are due."""
+        now = self._clock()
+        due = [self._epoch + (cycle - self._first) / self._rate for cycle in cycles]
+        client.connection.write_batch(packets, [max(each - now, 0.0) for each in due])
+        self.counters.sent += len(packets)
 
     def _due(self) -> float | None:
         """Return the time of the next cycle that must run on time; None if `step` advances the cycles."""
@@ -422,6 +453,13 @@ class Server:
                 self._write(client, segment)
 
     def _write(self, client: _Client, data: bytes | Deferred) -> None:
+        if (
+            self._passes_on
+            and isinstance(data, (Deferred, SteadyBytes))
+            and data.is_steady
+            and client.connection.write_steady(data)
+        ):
+            return
         port = client.connection.port
         overflowed = port.overflowed
         client.connection.write(data)

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby
 from typing import Any, Generic, Protocol, TypeVar
 
-from linkcore.deferred import Deferred
+from linkcore.deferred import Deferred, SteadyBytes
 from linkcore.wire.layout import Layout
 from urlink.protocol.headers import PACKAGE
 
@@ -102,6 +102,17 @@ class InterfaceClient(Protocol):
     def send(self, packet: bytes) -> None:
         """Send a packet or a reply."""
 
+    @property
+    def last_quiet_cycle(self) -> int:
+        """Last cycle whose packets can be sent now by `send_batch`, before they are due.
+
+        It is later than the current cycle only in simulated time, while nothing else happens, and while the client
+        needs no packet at its time.
+        """
+
+    def send_batch(self, packets: Sequence[Deferred | SteadyBytes], cycles: Sequence[int]) -> None:
+        """Send the steady packets of these cycles, at most until `last_quiet_cycle`; see `DeferredBatch`."""
+
     def finish(self) -> None:
         """Close the connection when all sent bytes have left the buffer."""
 
@@ -159,6 +170,20 @@ class Interface(ABC):
             samples: Sensors of each cycle; see `ControlLoop.advance_many`.
         """
         raise NotImplementedError
+
+    def last_ahead(self, cycle: int, last: int) -> int:
+        """Return the last cycle until which no packet of this interface has to be sent on time.
+
+        Args:
+            cycle: Current cycle.
+            last: Upper limit of the result.
+        """
+        wanted = self.next_cycle(cycle)
+        return last if wanted is None else min(last, wanted - 1)
+
+    def send_ahead(self, cycle: int) -> None:
+        """Send all packets until this cycle, which `last_ahead` has permitted, before they are due."""
+        return None
 
     def skip(self) -> None:
         """Discard the packets of this cycle, because no client is connected."""
