@@ -281,7 +281,7 @@ class End:
             self.network.scheduler.note(data if isinstance(data, bytes) else data.head)
         return size
 
-    def send_batch(self, packets: Sequence[Deferred], delays: Sequence[float]) -> None:
+    def send_batch(self, packets: Sequence[Deferred | SteadyBytes], delays: Sequence[float]) -> None:
         """Send packets, each after a delay in s from now. They arrive together, when the last one arrives.
 
         The caller has checked `quiet_time` and `room`.
@@ -299,7 +299,7 @@ class End:
         scheduler.note(batch.head)
         self._send(batch, len(batch))
 
-    def pass_on(self, packet: Deferred) -> bool:
+    def pass_on(self, packet: Deferred | SteadyBytes) -> bool:
         """Send a steady packet, and let time pass until it arrives.
 
         Return False, and send nothing, if anything else could happen before that. The function replaces the events of

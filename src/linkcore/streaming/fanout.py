@@ -48,6 +48,13 @@ class Sink(Protocol):
         """Accept no more packets, and drop queued packets."""
 
 
+class Unread(Protocol):
+    """Packet with parts that a simulated peer has sent, and that is only made if somebody asks for it."""
+
+    def read(self) -> Any:
+        """Return the packet."""
+
+
 class _Route(NamedTuple):
     sink: Sink
     group: type
@@ -89,11 +96,14 @@ class FanOut:
         self._deliveries: dict[Delivery, None] = {}
         # The reader uses these tuples, which are made from the routes: all sinks, the queues, the inline callbacks.
         self._offers: tuple[tuple[_Offer, ...], tuple[_Offer, ...], tuple[_Offer, ...]] = ((), (), ())
-        # The same sinks, for steady packets.
-        self._steady: tuple[Sink, ...] = ()
+        # The same sinks, and how steady packets are offered to each.
+        self._sinks: tuple[Sink, ...] = ()
+        self._steady: tuple[_Offer, ...] = ()
         self.taps: tuple[Sink, ...] = ()
         self._last: Any = None  # the newest packet, only for streams whose packets have no parts
         self._newest: dict[type, tuple[int, Any]] = {}
+        # Newest packet of a simulated peer, until somebody asks for its parts; see `Unread`.
+        self._unread: Unread | None = None
         self._number = 0
 
     # -- called by the reader ------------------------------------------------------------------
@@ -118,14 +128,14 @@ class FanOut:
         """
         if self._parts is None:
             self._last = packets[-1]
+        elif is_steady and hasattr(packets[-1], "read"):
+            self._unread = packets[-1]
         else:
-            for packet in packets:
-                self._remember(packet)
-                for part in self._parts(packet):
-                    self._remember(part)
+            self._read()
+            self._remember_all(packets)
         if is_steady:
-            for sink in self._steady:
-                sink.offer_steady(packets)
+            for offer in self._steady:
+                offer(packets)
             return
         every, queues, callbacks = self._offers
         if len(packets) == 1 or len(callbacks) < 2:
@@ -140,13 +150,13 @@ class FanOut:
 
     def takes_batches(self) -> bool:
         """Whether no sink needs each of several steady packets at the time of its arrival."""
-        return not self.taps and all(sink.only_changes() for sink in self._steady)
+        return not self.taps and all(sink.only_changes() for sink in self._sinks)
 
     def takes_at_once(self) -> bool:
         """Whether no sink makes the reader wait, or calls a function of the user, for a steady packet."""
-        if self.taps:
-            return False
-        return all(not sink.makes_reader_wait and (not sink.is_inline or sink.only_changes()) for sink in self._steady)
+        return not self.taps and all(
+            not sink.makes_reader_wait and (not sink.is_inline or sink.only_changes()) for sink in self._sinks
+        )
 
     def tell(self, event: ConnectionEvent) -> None:
         """Publish a change of the connection."""
@@ -157,7 +167,7 @@ class FanOut:
     def forget(self) -> None:
         """Forget the newest packets."""
         self._newest = {}
-        self._last = None
+        self._last = self._unread = None
 
     def end(self) -> None:
         """End all sinks: no more packets will arrive, but queued packets are still delivered."""
@@ -168,6 +178,19 @@ class FanOut:
             self._update()
         for route in routes:
             route.sink.end()
+
+    def _read(self) -> None:
+        """Make the newest packet of a simulated peer, with its parts, if it was not made yet."""
+        unread, self._unread = self._unread, None
+        if unread is not None:
+            self._remember_all([unread.read()])
+
+    def _remember_all(self, packets: Sequence[Any]) -> None:
+        assert self._parts is not None, "the packets have no parts"
+        for packet in packets:
+            self._remember(packet)
+            for part in self._parts(packet):
+                self._remember(part)
 
     def _remember(self, packet: Any) -> None:
         self._number += 1
@@ -184,6 +207,7 @@ class FanOut:
         if self._parts is None:
             last = self._last if self._ahead is None else self._ahead()
             return last if isinstance(last, kind) else None
+        self._read()
         exact = self._newest.get(kind)
         if exact is not None:
             found: K = exact[1]
@@ -257,7 +281,8 @@ class FanOut:
             last = [route for route in offered if route.sink.is_inline]
             queues, callbacks = tuple([route.offer for route in first]), tuple([route.offer for route in last])
             self._offers = (queues + callbacks, queues, callbacks)
-            self._steady = tuple([route.sink for route in first + last])
+            self._sinks = tuple([route.sink for route in first + last])
+            self._steady = queues + tuple([route.sink.offer_steady for route in last])
             self.taps = tuple([route.sink for route in known if route.group is Traffic])
 
     # -- callbacks -------------------------------------------------------------------------------

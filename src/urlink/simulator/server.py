@@ -26,6 +26,7 @@ from .control_loop import ControlLoop, SteppedClock
 from .faults.link import LinkFaults, Segmenter
 from .interfaces.interface import Interface, ReadOnlyReceiver
 from .programs.loader import ProgramLoader
+from .robot.sensors import Samples
 from .state import ControllerState
 
 #: Age in seconds above which a packet is no longer sent. Up to this age, a client gets the packets of every cycle. If a
@@ -131,7 +132,7 @@ class Server:
         self._clients: dict[str, list[_Client]] = {name: [] for name in numbers}
         self._watched: set[str] = set()
         # Names of the ports of each interface, and their clients.
-        self._clients_of = {
+        self._ports_of = {
             kind: [(name, self._clients[name]) for name in (kind, f"{kind}_readonly") if name in self._clients]
             for kind in interfaces
         }
@@ -139,10 +140,11 @@ class Server:
         self._state = state
         self.counters = state.counters
         self._interfaces = interfaces
-        # Interfaces that send packets on their own; the others only reply to clients. The real-time interface is the
-        # last one, because its packets wake most threads, and other packets can only arrive at once while none is ready.
-        emitting = [item for item in interfaces.items() if type(item[1]).packets is not Interface.packets]
-        self._emitting = sorted(emitting, key=lambda item: item[0] == "realtime")
+        # Interfaces that send packets on their own; the others only reply to clients.
+        self._emitting = [item for item in interfaces.items() if type(item[1]).packets is not Interface.packets]
+        # The same, with the real-time interface at the end, because its packets wake most threads, and steady packets
+        # can only arrive at once while no thread is ready.
+        self._passing_on = sorted(self._emitting, key=lambda item: item[0] == "realtime")
         self._loader = loader
         self._link = link
         self._sockets = SelectorLoop(clock)
@@ -313,25 +315,29 @@ class Server:
         fault = control.next_fault()
         if fault is not None:
             last = min(last, fault - 1)
-        others = [self._interfaces[kind] for kind in self._watched if kind != "realtime"]
-        for interface in others:
-            last = interface.last_ahead(begin, last)
+        others = [(self._interfaces[kind], self._clients_of(kind)) for kind in self._watched if kind != "realtime"]
+        steady = min([last, *(interface.last_steady(begin, last, clients) for interface, clients in others)])
+        last = min([last, *(interface.last_ahead(begin, last) for interface, _ in others)])
         realtime = self._interfaces["realtime"]
         packets: Sequence[Deferred] = []
+        samples: Samples | None = None
         while state.cycle < last and not self._is_held:
             control.advance()
             packet = realtime.steady_packet()
             if packet is None or not state.outbox.is_empty:
                 self._is_held = True
-            elif not packets and (samples := control.advance_many(last - state.cycle)) is not None:
+            elif not packets and (samples := control.advance_many(steady - state.cycle)) is not None:
                 packets = realtime.later_packets(samples)
                 break
             else:
                 packets = [*packets, packet]
         if packets:
             client.send_batch(packets, range(begin + 1, begin + 1 + len(packets)))
-            for interface in others:
-                interface.send_ahead(begin + len(packets))
+            for interface, clients in others:
+                interface.send_ahead(begin + len(packets), samples, clients)
+
+    def _clients_of(self, kind: str) -> list[_Client]:
+        return [client for _, clients in self._ports_of[kind] for client in clients]
 
     def last_quiet_cycle(self, client: _Client) -> int:
         """Return the last cycle whose packets can be sent to a client now; see `InterfaceClient.last_quiet_cycle`."""
@@ -420,7 +426,7 @@ class Server:
         self._settle()
         if not self._state.is_up:
             return
-        for kind, interface in self._emitting:
+        for kind, interface in self._passing_on if self._passes_on else self._emitting:
             if kind in self._watched:
                 for packet in interface.packets(cycle):
                     self._broadcast(kind, packet)
@@ -428,7 +434,7 @@ class Server:
                 interface.skip()
 
     def _broadcast(self, kind: str, packet: bytes | Deferred) -> None:
-        for name, clients in self._clients_of[kind]:
+        for name, clients in self._ports_of[kind]:
             if clients and not self._link.is_stalled(name):
                 data = self._link.on_the_wire(name, packet)
                 for client in clients:

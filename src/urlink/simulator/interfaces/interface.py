@@ -181,8 +181,23 @@ class Interface(ABC):
         wanted = self.next_cycle(cycle)
         return last if wanted is None else min(last, wanted - 1)
 
-    def send_ahead(self, cycle: int) -> None:
-        """Send all packets until this cycle, which `last_ahead` has permitted, before they are due."""
+    def last_steady(self, cycle: int, last: int, clients: Sequence[InterfaceClient]) -> int:
+        """Return the same as `last_ahead`, for cycles in which only the time and the targets change.
+
+        Args:
+            cycle, last: See `last_ahead`.
+            clients: Clients of this interface.
+        """
+        return self.last_ahead(cycle, last)
+
+    def send_ahead(self, cycle: int, samples: Samples | None, clients: Sequence[InterfaceClient]) -> None:
+        """Send all packets until this cycle before they are due.
+
+        Args:
+            cycle: Last cycle, which `last_ahead` or `last_steady` has permitted.
+            samples: Sensors of the last cycles, if only the time and the targets have changed in them; else None.
+            clients: Clients of this interface.
+        """
         return None
 
     def skip(self) -> None:

@@ -63,6 +63,7 @@ from urlink.protocol.rtde.recipes import MOST_RECIPES, Recipe
 from urlink.protocol.rtde.variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS, Variable
 
 from ..registers import FIELDBUSES
+from ..robot.sensors import Samples
 from ..rtde_variables import OUTPUT_VALUES, write_inputs
 from ..state import ControllerState
 from .interface import Form, Interface, InterfaceClient, InterfaceReceiver
@@ -152,7 +153,7 @@ class RtdeInterface(Interface):
             last = min(last, session.last_ahead(cycle))
         return last
 
-    def send_ahead(self, cycle: int) -> None:
+    def send_ahead(self, cycle: int, samples: Samples | None, clients: Sequence[InterfaceClient]) -> None:
         for session in self.sessions:
             session.send_ahead(cycle)
 

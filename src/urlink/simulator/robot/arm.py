@@ -446,10 +446,12 @@ class SimulatedArm:
         acceleration: list[float] = ((after - before) / 2e-5).tolist()
         return acceleration
 
-    @property
-    def dexterity(self) -> float:
-        """Square of the determinant of the flange's Jacobian; 0 in a singular posture.
+    def dexterity(self, q: Sequence[float]) -> float:
+        """Return the square of the determinant of the flange's Jacobian; 0 in a singular posture.
 
         Three captured force mode packets contain exactly this number.
+
+        Args:
+            q: Target joint positions, shape (6,), in rad.
         """
-        return float(self.kinematics.manipulability(self._setpoint.q)) ** 2
+        return float(self.kinematics.manipulability(q)) ** 2
