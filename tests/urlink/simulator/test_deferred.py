@@ -89,7 +89,7 @@ def states_of(run: Callable[[urlink.Robot, Simulation], object], seed: int, firm
 def test_running_ahead_sends_the_same_states(firmware: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same cycles must give the same bytes, whether the controller executes them early or when they are due."""
     ahead = states_of(program, 1, firmware)
-    monkeypatch.setattr(server, "MOST_AHEAD", 0)
+    monkeypatch.setattr(server, "LONGEST_BATCH", 0.0)
     on_time = states_of(program, 1, firmware)
     # A command might arrive a cycle earlier or later, because more random numbers are drawn. So compare the cycles
     # before the first command.
