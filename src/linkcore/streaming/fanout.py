@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 from ..clock import Stamp
 from .connection_life import Chunk, ConnectionEvent, Traffic
-from .subscription import Delivery
+from .subscription import Delivery, InlineDelivery
 
 #: Makes a NamedTuple without its own `__new__`, which would be a call of Python code for each packet.
 _new = tuple.__new__
@@ -34,12 +34,6 @@ class Sink(Protocol):
 
     def offer(self, packets: Sequence[Any]) -> None:
         """Accept packets."""
-
-    def offer_steady(self, packets: Sequence[Any]) -> None:
-        """Accept packets that differ from their predecessor only in time and in measured or computed values."""
-
-    def only_changes(self) -> bool:
-        """Whether the sink currently needs no such packets."""
 
     def end(self) -> None:
         """Accept no more packets; queued packets are still delivered."""
@@ -96,9 +90,11 @@ class FanOut:
         self._deliveries: dict[Delivery, None] = {}
         # The reader uses these tuples, which are made from the routes: all sinks, the queues, the inline callbacks.
         self._offers: tuple[tuple[_Offer, ...], tuple[_Offer, ...], tuple[_Offer, ...]] = ((), (), ())
-        # The same sinks, and how steady packets are offered to each.
-        self._sinks: tuple[Sink, ...] = ()
+        # For steady packets: the same sinks, those that are inline callbacks, whether there are others, and whether one
+        # of those makes the reader wait.
         self._steady: tuple[_Offer, ...] = ()
+        self._inline: tuple[InlineDelivery, ...] = ()
+        self._has_queues = self._makes_reader_wait = False
         self.taps: tuple[Sink, ...] = ()
         self._last: Any = None  # the newest packet, only for streams whose packets have no parts
         self._newest: dict[type, tuple[int, Any]] = {}
@@ -150,13 +146,11 @@ class FanOut:
 
     def takes_batches(self) -> bool:
         """Whether no sink needs each of several steady packets at the time of its arrival."""
-        return not self.taps and all(sink.only_changes() for sink in self._sinks)
+        return not (self._has_queues or self.taps) and all(sink.only_changes() for sink in self._inline)
 
     def takes_at_once(self) -> bool:
         """Whether no sink makes the reader wait, or calls a function of the user, for a steady packet."""
-        return not self.taps and all(
-            not sink.makes_reader_wait and (not sink.is_inline or sink.only_changes()) for sink in self._sinks
-        )
+        return not (self._makes_reader_wait or self.taps) and all(sink.only_changes() for sink in self._inline)
 
     def tell(self, event: ConnectionEvent) -> None:
         """Publish a change of the connection."""
@@ -281,8 +275,10 @@ class FanOut:
             last = [route for route in offered if route.sink.is_inline]
             queues, callbacks = tuple([route.offer for route in first]), tuple([route.offer for route in last])
             self._offers = (queues + callbacks, queues, callbacks)
-            self._sinks = tuple([route.sink for route in first + last])
-            self._steady = queues + tuple([route.sink.offer_steady for route in last])
+            self._inline = tuple([sink for sink in (route.sink for route in last) if isinstance(sink, InlineDelivery)])
+            self._has_queues = bool(first)
+            self._makes_reader_wait = any(route.sink.makes_reader_wait for route in first)
+            self._steady = queues + tuple([sink.offer_steady for sink in self._inline])
             self.taps = tuple([route.sink for route in known if route.group is Traffic])
 
     # -- callbacks -------------------------------------------------------------------------------

@@ -161,6 +161,10 @@ class DeferredReceiver(Receiver):
     """Receiver for a simulated connection, which delivers bytes, and packets whose bytes are not made yet.
 
     It counts the same as `Receiver` does for the bytes of the packets.
+
+    Attributes:
+        leaves_unread: Whether `feed_steady` makes a packet only if somebody asks for it, so that no subscriber may need
+            it.
     """
 
     def __init__(self, *args: Any) -> None:
@@ -171,11 +175,9 @@ class DeferredReceiver(Receiver):
         )
         self._take: Callable[[DeferredPacket, Stamp], Any] | None = take
         self._take_steady: Callable[[Deferred, Stamp], Any] | None = steady
-
-    @property
-    def leaves_unread(self) -> bool:
-        """Whether `feed_steady` makes a packet only if somebody asks for it, so that no subscriber may need it."""
-        return self._take_steady is not None
+        self.leaves_unread = steady is not None
+        if steady is None:
+            self.feed_steady = self.feed  # type: ignore[method-assign]
 
     def is_next(self, data: Deferred | SteadyBytes) -> bool:
         """Whether a packet directly follows the last one of this connection. Otherwise it might not be steady."""

@@ -327,9 +327,11 @@ class SafetyMonitor:
         return is_settled and self._interlock.is_clear and not self._waiting and not self._section.is_held
 
     def _renew(self, name: str, state: State) -> None:
-        """Record the time of a state that shows the same modes as the previous one."""
-        with self._section.lock:
-            self._interlock.renew(name, self._came(state))
+        """Record the time of a state that shows the same modes as the previous one.
+
+        No thread is in the critical section, because `_needs_only_changes` has just returned True.
+        """
+        self._interlock.renew(name, self._came(state))
 
     def _came(self, packet: State) -> float:
         return packet.received.monotonic if packet.received is not None else self.clock()

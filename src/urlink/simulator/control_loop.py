@@ -58,7 +58,7 @@ class ControlLoop:
         world = self._state.surroundings
         return (
             world.scene is not None
-            or any(type(contact) not in (Plane, Spring) for contact in world.contacts)
+            or bool(world.contacts and any(type(contact) not in (Plane, Spring) for contact in world.contacts))
             or not self._runner.follows_own_source
         )
 

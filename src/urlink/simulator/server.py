@@ -15,7 +15,7 @@ interface is silent.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 
 from linkcore import clock
 from linkcore.deferred import LONGEST_BATCH, Deferred, SteadyBytes
@@ -502,7 +502,8 @@ class Server:
         if self._is_closing:
             return
         self._open_or_refuse()
-        self._reset(self._link.take_cuts())
+        if cuts := self._link.take_cuts():
+            self._reset(cuts)
         if self._link.segments_changed != self._segments_seen:
             self._segments_seen = self._link.segments_changed
             self._segment_anew()
@@ -534,7 +535,7 @@ class Server:
             if held:
                 self._write(client, held)
 
-    def _reset(self, ports: set[str]) -> None:
+    def _reset(self, ports: Set[str]) -> None:
         for name in ports & self._clients.keys():
             for client in self._clients[name]:
                 client.connection.close(reset=True)

@@ -113,7 +113,8 @@ class MotionGenerator:
     @property
     def follows_torque(self) -> bool:
         """Whether the joints are moved by direct torque in this cycle."""
-        return isinstance(self._command, TorqueMotion) and not self._command.is_at_rest
+        # `isinstance` takes several times as long, because commands have an abstract base class.
+        return type(self._command) is TorqueMotion and not self._command.is_at_rest
 
     @property
     def waypoint(self) -> list[float] | None:
@@ -134,8 +135,9 @@ class MotionGenerator:
             raise self._refusal
         last = self.setpoint
         before = self.scaling
-        rate = self._rise if before < self.speed_fraction else self._parameters.slider_rate
-        self.scaling = approached(before, self.speed_fraction, rate * seconds)
+        if before != self.speed_fraction:
+            rate = self._rise if before < self.speed_fraction else self._parameters.slider_rate
+            self.scaling = approached(before, self.speed_fraction, rate * seconds)
         if self.scaling == self.speed_fraction:
             self._rise = self._parameters.slider_rate
         change = self.scaling - before
