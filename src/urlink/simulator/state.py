@@ -329,11 +329,16 @@ class ControllerState:
         self._stop_cause = StopCause(reason, by_program, code)
         self.modes.protective_stop()
 
+    @property
+    def has_safety_change(self) -> bool:
+        """Whether the safety mode has changed since the last call of `take_safety_change`."""
+        return self.modes.safety_mode is not self._announced
+
     def take_safety_change(self) -> StopCause | None:
         """Return the cause of a change of the safety mode since the last call; None if unchanged."""
         cause, self._stop_cause = self._stop_cause, _NO_CAUSE
         modes = self.modes
-        if modes.safety_mode is self._announced:
+        if not self.has_safety_change:
             return None
         self._announced = modes.safety_mode
         self.stopped_since = None if modes.stop is StopState.NONE else self.time

@@ -191,6 +191,15 @@ class SimulatedArm:
         self._sample = None
         return times
 
+    def glide(self, seconds: float, setpoint: Setpoint) -> None:
+        """Advance by one cycle, as `advance_along` does."""
+        self._time += seconds
+        self._setpoint = setpoint
+        self._progress.cycle += 1
+        if self._moving:
+            self._progress.moved += 1
+        self._sample = None
+
     def _count_rests(self, moving: tuple[bool, ...]) -> None:
         """Begin a rest of the joints that no longer move; `moving` is empty if no joint moves."""
         # A new list, because samples of earlier cycles refer to the previous one.
