@@ -180,7 +180,7 @@ class Connection:
         """
         if not self._is_direct or not self._socket.send_steady(packet):  # type: ignore[attr-defined]  # it is a simulated socket
             return False
-        self.last_activity = self._loop.time()
+        self.last_activity = self._loop.looked_at
         return True
 
     @property
@@ -484,6 +484,8 @@ class SelectorLoop:
         self.time = clock
         self.ports: list[ListeningPort] = []
         self.failures = 0
+        #: Time of the last call of `instead`; see `serve_once`.
+        self.looked_at = clock()
         self._owner: int | None = None
         self._lock = threading.RLock()  # re-entrant for signal handlers
         self._is_closed = False
@@ -657,6 +659,7 @@ class SelectorLoop:
 
             def call() -> float | None:
                 until, now = work(), self.time()
+                self.looked_at = now
                 if until is None or self._calls or self._lost or self._earliest <= now:
                     return None
                 return max(min(until, self._earliest) - now, 0.0)

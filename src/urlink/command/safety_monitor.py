@@ -334,7 +334,8 @@ class SafetyMonitor:
         self._interlock.renew(name, self._came(state))
 
     def _came(self, packet: State) -> float:
-        return packet.received.monotonic if packet.received is not None else self.clock()
+        received = packet.received
+        return received.monotonic if received is not None else self.clock()
 
     def _observe(self, change: Callable[[], LinkError | None]) -> None:
         with self._section.lock:

@@ -154,6 +154,9 @@ class Server:
         self._is_changed = False
         # Whether the current cycle was executed before it is due, and its packets must be sent when it is due.
         self._is_held = False
+        # First cycle in which an interface other than the real-time interface sends packets, as long as no client sends
+        # anything; 0 if unknown.
+        self._others_due = 0
         # Whether steady packets may arrive at once, because the cycle that is due is the only work to do.
         self._passes_on = False
         # Whether the last `catch_up` ran out of time.
@@ -284,12 +287,8 @@ class Server:
         This is possible in simulated time if only this packet is sent, and nothing else happens before its arrival.
         """
         state = self._state
-        cycle = state.cycle
-        if not state.is_up:
+        if not state.is_up or self._when_others_are_due() <= state.cycle + 1:
             return False
-        for kind in self._watched:
-            if kind != "realtime" and self._interfaces[kind].next_cycle(cycle) == cycle + 1:
-                return False
         self._control.advance()
         packet = self._interfaces["realtime"].steady_packet()
         if packet is None or not state.outbox.is_empty or not client.write_steady(packet):
@@ -298,6 +297,14 @@ class Server:
         self.counters.sent += 1
         self._settle()
         return True
+
+    def _when_others_are_due(self) -> int:
+        cycle = self._state.cycle
+        if self._others_due <= cycle:
+            due = [self._interfaces[kind].next_cycle(cycle) for kind in self._watched if kind != "realtime"]
+            # Look again after a second, if nothing is planned.
+            self._others_due = min([cycle + self._rate, *(each for each in due if each is not None)])
+        return self._others_due
 
     def _run_ahead(self, client: _Client) -> None:
         """Execute cycles before they are due, and send their packets at once.
@@ -366,6 +373,7 @@ class Server:
 
     def catch_up(self) -> None:
         """Advance the controller to the current time, and send the packets of its cycles."""
+        self._others_due = 0
         rate, state, counters = self._rate, self._state, self.counters
         behind = int((self._clock() - self._epoch) * rate) - (state.cycle - self._first)
         if self._is_held and behind >= 0:
@@ -399,6 +407,7 @@ class Server:
         On a computer that is too slow for the controller, each client would otherwise have to wait while the thread
         catches up for other clients.
         """
+        self._others_due = 0
         if not self._is_behind:
             self.catch_up()
 
@@ -490,6 +499,7 @@ class Server:
 
     def forget(self, client: _Client) -> None:
         """Remove a client whose connection has ended."""
+        self._others_due = 0
         self._clients[client.name].remove(client)
         kind = interface_of(client.name)
         if not self._clients.get(kind) and not self._clients.get(f"{kind}_readonly"):
