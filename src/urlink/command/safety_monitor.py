@@ -331,7 +331,9 @@ class SafetyMonitor:
 
         No thread is in the critical section, because `_needs_only_changes` has just returned True.
         """
-        self._interlock.renew(name, self._came(state))
+        received = state.received
+        if received is not None:
+            self._interlock.renew(name, received.monotonic)
 
     def _came(self, packet: State) -> float:
         received = packet.received
