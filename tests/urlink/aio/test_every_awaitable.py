@@ -20,7 +20,7 @@ from rhdlink import Host
 from rhdlink.host.plugins.turtle import Turtle
 from rhdlink.host.world import World
 from tests.cancelling import Turns
-from tests.matrix import trials
+from tests.matrix import IS_WHOLE, trials
 from tests.urlink.aio.every_awaitable import CHANGES, OPEN, PROGRAM, READY, Cell, awaitables, is_busy, lacking, use_of
 from urlink.simulator import Controller, Still
 
@@ -29,10 +29,12 @@ pytestmark = pytest.mark.simulated_time
 #: Time limits in s: until a thread is free, until the arm is at rest, and until no program is left. A program without
 #: start permission waits for its permission for five seconds.
 FREE, AT_REST, LEFT = 0.2, 3.0, 6.0
-#: Turns that are tried one by one, and the last turn; the distance between later turns grows.
+#: Turns that are tried one by one, and the last turn.
 EACH, MOST = 60, 2000
 #: Distance between the turns that are tried one by one; each call starts with another turn.
-STRIDE = trials(4, 1)
+STRIDE = trials(7, 1)
+#: Ratio of two consecutive later turns.
+GROWTH = 1.3 if IS_WHOLE else 1.8
 #: Blocks in which a person may move the arm.
 BY_HAND = ("AsyncRobot.freedrive", "AsyncRobot.teach", "AsyncTeaching")
 
@@ -157,6 +159,6 @@ def test_cancel_in_one_loop_iteration_leaves_nothing_behind(kind: str, bench: Be
 @pytest.mark.matrix
 @pytest.mark.parametrize("name", awaitables())
 def test_cancel_in_any_loop_iteration_leaves_nothing_behind(name: str, bench: Bench) -> None:
-    later = itertools.takewhile(lambda turn: turn < MOST, (int(EACH * 1.3**n) for n in itertools.count()))
+    later = itertools.takewhile(lambda turn: turn < MOST, (int(EACH * GROWTH**n) for n in itertools.count()))
     first = 1 + list(awaitables()).index(name) % STRIDE
     _try([name], lambda name: itertools.chain(range(first, EACH, STRIDE), later), bench)
