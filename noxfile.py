@@ -45,8 +45,8 @@ NOT_RUN = (
 #: The packages in packages/ that need no middleware. Every session that runs tests installs them, and their tests run
 #: together with the tests of the library.
 LIGHT = ("accept", "compat", "view")
-#: Folders with tests.
-TESTED = ("tests", *(f"packages/{each}" for each in LIGHT))
+#: Folders with tests. The folder with the longest tests is first, so that they do not run alone at the end.
+TESTED = (*(f"packages/{each}" for each in LIGHT), "tests")
 #: Options of pytest for the examples in pages and docstrings, and the places of these examples.
 DOCTESTS = ("--doctest-modules", "--doctest-glob=*.md", "--ignore=docs/conf.py")
 EXAMPLES = ("src", "docs", "README.md")
