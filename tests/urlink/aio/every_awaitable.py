@@ -328,7 +328,7 @@ SAMPLES: Mapping[str, Sample] = {
     "AsyncMotions.speed_linear": lambda motion: motion.speed_linear([0, 0, 0.01, 0, 0, 0], duration=5.0, wait=True),
     "AsyncMotions.stream": lambda motion: motion.stream(),
     "AsyncMotions.torque": lambda motion: motion.torque(),
-    "AsyncMotions.until_contact": lambda motion: motion.until_contact([0, 0, 1], 0.02, distance=0.1, wait=True),
+    "AsyncMotions.until_contact": lambda motion: motion.until_contact([0, 0, 1], 0.01, distance=0.05, wait=True),
     "AsyncIO.set_analog_out": lambda io: io.set_analog_out(0, 0.1),
     "AsyncIO.set_tool_voltage": lambda io: io.set_tool_voltage(0),
     **{
