@@ -120,7 +120,6 @@ class ControlLoop:
             for message in messages.safety_messages(state, cause):
                 state.outbox.put(message)
 
-
     def _glides(self) -> bool:
         """Execute a cycle in which only the time and the set-point change.
 

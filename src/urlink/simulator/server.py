@@ -24,7 +24,7 @@ from urlink.protocol.ports import interface_of
 
 from .control_loop import ControlLoop, SteppedClock
 from .faults.link import LinkFaults, Segmenter
-from .interfaces.interface import Interface, ReadOnlyReceiver
+from .interfaces.interface import Interface, InterfaceReceiver, ReadOnlyReceiver
 from .programs.loader import ProgramLoader
 from .robot.sensors import Samples
 from .state import ControllerState
@@ -48,7 +48,14 @@ LAST_REPLY = 2.0
 
 
 class _Client(Handler):
-    """Connection of one client. The link faults of its port apply to the packets that are sent over it."""
+    """Connection of one client. The link faults of its port apply to the packets that are sent over it.
+
+    Attributes:
+        name: Name of the port.
+        connection: The connection.
+        segmenter: Segmenter of its packets, as a fault requires it; None to send packets unchanged.
+        receiver: Receiver of the client's bytes.
+    """
 
     def __init__(self, server: Server, name: str, interface: Interface, connection: Connection) -> None:
         self.name = name
@@ -56,7 +63,9 @@ class _Client(Handler):
         self.segmenter: Segmenter | None = None
         self._server = server
         is_read_only = name.endswith("_readonly")
-        self._receiver = ReadOnlyReceiver(server.counters) if is_read_only else interface.receiver(self)
+        self.receiver: InterfaceReceiver = (
+            ReadOnlyReceiver(server.counters) if is_read_only else interface.receiver(self)
+        )
 
     @property
     def is_open(self) -> bool:
@@ -86,10 +95,10 @@ class _Client(Handler):
         # Catch up first: a request of a client must take effect in the next cycle after its arrival, not in a cycle
         # that is already due.
         self._server.look_at_the_clock()
-        self._receiver.feed(data)
+        self.receiver.feed(data)
 
     def connection_lost(self, reason: str, *, by_peer: bool) -> None:
-        self._receiver.end()
+        self.receiver.end()
         self._server.forget(self)
 
 
@@ -324,7 +333,7 @@ class Server:
             last = min(last, fault - 1)
         others = [(self._interfaces[kind], self._clients_of(kind)) for kind in self._watched if kind != "realtime"]
         steady = min([last, *(interface.last_steady(begin, last, clients) for interface, clients in others)])
-        last = min([last, *(interface.last_ahead(begin, last) for interface, _ in others)])
+        last = min([last, *(interface.last_ahead(begin, last, clients) for interface, clients in others)])
         realtime = self._interfaces["realtime"]
         packets: Sequence[Deferred] = []
         samples: Samples | None = None
@@ -347,7 +356,7 @@ class Server:
         return [client for _, clients in self._ports_of[kind] for client in clients]
 
     def last_quiet_cycle(self, client: _Client) -> int:
-        """Return the last cycle whose packets can be sent to a client now; see `InterfaceClient.last_quiet_cycle`."""
+        """Return the last cycle whose packets can be sent to a client now; see `BatchClient.last_quiet_cycle`."""
         if client.segmenter is not None or self._link.is_any_stalled:
             return self._state.cycle
         quiet = min(client.connection.quiet_time, LONGEST_BATCH)

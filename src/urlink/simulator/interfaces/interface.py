@@ -102,6 +102,18 @@ class InterfaceClient(Protocol):
     def send(self, packet: bytes) -> None:
         """Send a packet or a reply."""
 
+    def finish(self) -> None:
+        """Close the connection when all sent bytes have left the buffer."""
+
+    def drop(self) -> None:
+        """Close the connection now, with a reset."""
+
+
+class BatchClient(Protocol):
+    """Connection of one client, with what an interface needs to send packets before they are due."""
+
+    receiver: InterfaceReceiver
+
     @property
     def last_quiet_cycle(self) -> int:
         """Last cycle whose packets can be sent now by `send_batch`, before they are due.
@@ -112,12 +124,6 @@ class InterfaceClient(Protocol):
 
     def send_batch(self, packets: Sequence[Deferred | SteadyBytes], cycles: Sequence[int]) -> None:
         """Send the steady packets of these cycles, at most until `last_quiet_cycle`; see `DeferredBatch`."""
-
-    def finish(self) -> None:
-        """Close the connection when all sent bytes have left the buffer."""
-
-    def drop(self) -> None:
-        """Close the connection now, with a reset."""
 
 
 class InterfaceReceiver(ABC):
@@ -171,26 +177,22 @@ class Interface(ABC):
         """
         raise NotImplementedError
 
-    def last_ahead(self, cycle: int, last: int) -> int:
+    def last_ahead(self, cycle: int, last: int, clients: Sequence[BatchClient]) -> int:
         """Return the last cycle until which no packet of this interface has to be sent on time.
 
         Args:
             cycle: Current cycle.
             last: Upper limit of the result.
+            clients: Clients of this interface.
         """
         wanted = self.next_cycle(cycle)
         return last if wanted is None else min(last, wanted - 1)
 
-    def last_steady(self, cycle: int, last: int, clients: Sequence[InterfaceClient]) -> int:
-        """Return the same as `last_ahead`, for cycles in which only the time and the targets change.
+    def last_steady(self, cycle: int, last: int, clients: Sequence[BatchClient]) -> int:
+        """Return the same as `last_ahead`, for cycles in which only the time and the targets change."""
+        return self.last_ahead(cycle, last, clients)
 
-        Args:
-            cycle, last: See `last_ahead`.
-            clients: Clients of this interface.
-        """
-        return self.last_ahead(cycle, last)
-
-    def send_ahead(self, cycle: int, samples: Samples | None, clients: Sequence[InterfaceClient]) -> None:
+    def send_ahead(self, cycle: int, samples: Samples | None, clients: Sequence[BatchClient]) -> None:
         """Send all packets until this cycle before they are due.
 
         Args:

@@ -28,7 +28,7 @@ from ..messages import greeting
 from ..robot.sensors import Sample, Samples
 from ..rtde_variables import ROBOT_VOLTAGE, current_of
 from ..state import ControllerState
-from .interface import Fields, Form, Interface, InterfaceClient, ScriptReceiver, package
+from .interface import BatchClient, Fields, Form, Interface, InterfaceClient, ScriptReceiver, package
 
 #: Robot states per second.
 STATE_RATE = 10
@@ -250,13 +250,13 @@ class SecondaryInterface(Interface):
         since, self._served = cycle - 1 if self._served is None else self._served, cycle
         return [self._states.of_cycle(cycle)] if self._states.next_cycle(since) <= cycle else []
 
-    def last_steady(self, cycle: int, last: int, clients: Sequence[InterfaceClient]) -> int:
-        before = self.last_ahead(cycle, last)
+    def last_steady(self, cycle: int, last: int, clients: Sequence[BatchClient]) -> int:
+        before = self.last_ahead(cycle, last, clients)
         if before == last or not self._states.is_steady:
             return before
         return max(before, min([last, *(client.last_quiet_cycle for client in clients)]))
 
-    def send_ahead(self, cycle: int, samples: Samples | None, clients: Sequence[InterfaceClient]) -> None:
+    def send_ahead(self, cycle: int, samples: Samples | None, clients: Sequence[BatchClient]) -> None:
         if samples is None:
             return
         packages = self._states.later(cycle + 1 - len(samples), samples, cycle)

@@ -66,7 +66,7 @@ from ..registers import FIELDBUSES
 from ..robot.sensors import Samples
 from ..rtde_variables import OUTPUT_VALUES, write_inputs
 from ..state import ControllerState
-from .interface import Form, Interface, InterfaceClient, InterfaceReceiver
+from .interface import BatchClient, Form, Interface, InterfaceClient, InterfaceReceiver
 
 _log = logging.getLogger("urlink.simulator")
 
@@ -148,14 +148,16 @@ class RtdeInterface(Interface):
             session.advance(cycle)
         return []
 
-    def last_ahead(self, cycle: int, last: int) -> int:
-        for session in self.sessions:
-            last = min(last, session.last_ahead(cycle))
+    def last_ahead(self, cycle: int, last: int, clients: Sequence[BatchClient]) -> int:
+        for client in clients:
+            if isinstance(client.receiver, RtdeSession):
+                last = min(last, client.receiver.last_ahead(cycle, client))
         return last
 
-    def send_ahead(self, cycle: int, samples: Samples | None, clients: Sequence[InterfaceClient]) -> None:
-        for session in self.sessions:
-            session.send_ahead(cycle)
+    def send_ahead(self, cycle: int, samples: Samples | None, clients: Sequence[BatchClient]) -> None:
+        for client in clients:
+            if isinstance(client.receiver, RtdeSession):
+                client.receiver.send_ahead(cycle, client)
 
     def receiver(self, client: InterfaceClient) -> RtdeSession:
         session = RtdeSession(self, client)
@@ -397,23 +399,23 @@ class RtdeSession(InterfaceReceiver):
             self._unread_since = None
             self._send_data()
 
-    def last_ahead(self, cycle: int) -> int:
+    def last_ahead(self, cycle: int, client: BatchClient) -> int:
         """See `Interface.last_ahead`."""
         outputs, disturbance = self._outputs, self._interface.disturbance
         before = self.next_cycle(cycle) - 1
         is_steady = self.is_started and outputs is not None and outputs.is_steady and self._due > cycle
         if not is_steady or self._late or disturbance.late or disturbance.sends_no_data:
             return before
-        return max(before, self._client.last_quiet_cycle)
+        return max(before, client.last_quiet_cycle)
 
-    def send_ahead(self, cycle: int) -> None:
+    def send_ahead(self, cycle: int, client: BatchClient) -> None:
         """See `Interface.send_ahead`."""
         outputs, state = self._outputs, self._state
         if not self.is_started or outputs is None or self._due > cycle:
             return
         due = range(self._due, cycle + 1, outputs.step)
         times = [(state.uptime - state.cycle + each) / state.rate for each in due]
-        self._client.send_batch([outputs.steady_package(time) for time in times], due)
+        client.send_batch([outputs.steady_package(time) for time in times], due)
         self._due = due[-1] + outputs.step
 
     def _send_data(self) -> None:
