@@ -170,6 +170,27 @@ def test_moves_are_refused_when_the_tool_is_outside() -> None:
         robot.motion.move_joints(at(0, 0, 0, 0, 0, 0.1))
 
 
+def test_path_is_slower_next_to_a_blend_if_necessary(monkeypatch: pytest.MonkeyPatch) -> None:
+    bodies: list[str] = []
+    start = Programs.start
+
+    def noting(programs: Programs, wrapped: Any, life: Any, **how: Any) -> None:
+        bodies.append(wrapped.text)
+        start(programs, wrapped, life, **how)
+
+    with limited() as robot:
+        monkeypatch.setattr(Programs, "start", noting)
+        fastest = Fastest(robot)
+        # Next to the blend, the tool might move at 0.267 m/s. Without the blend, it would reach 0.19 m/s.
+        far = [urlink.Joint(at(0.15, 0, 0, 0, 0, 0), blend=0.02), urlink.Joint(at(0.3, 0, 0, 0, 0, 0))]
+        robot.motion.path(far, joint_speed=0.6, joint_acceleration=1.0).wait(TIMEOUT)
+        assert 0.15 < fastest.tool < 0.25
+        assert bodies[0].count("v=0.51") == 2
+        with pytest.raises(LimitExceeded) as caught:
+            robot.motion.path(far, joint_speed=0.9, joint_acceleration=5.0)
+        assert caught.value.limit == "tool_speed"
+
+
 def lift(robot: Robot, q: FloatArray) -> None:
     """Lift the tool by set-points, slowly at first."""
     begin = float(q[1])

@@ -13,8 +13,9 @@ motion that is stopped at a limit while it runs counts as refused, unless the ar
 because the command ended in the same cycle.
 
 The report also gives the share among the commands that themselves stay within the limits, with the margins that
-docs/session-limits.md states. For these, the set-points of ``servoj`` are compared with the limits too: the arm can be
-slower than its set-points, because the controller smooths them.
+docs/session-limits.md states. For these, the values that the arm was asked for are compared with the limits too: the
+set-points of ``servoj``, and the speeds of a jog. The arm can be slower, because the controller smooths set-points, and
+because the arm might not reach its speed before the command ends.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ from linkcore.errors import LinkError
 from linkcore.handle import Motion
 from urlink import Circular, Joint, LimitExceeded, Linear, SessionLimits, Trajectory, TrajectoryPoint
 from urlink.arm.kinematics import Arm
+from urlink.arm.poses import rotvec_to_matrix
 from urlink.arm.vectors import FloatArray
 from urlink.robot import Robot
 from urlink.session.session_limits import KINDS, MARGIN
@@ -78,7 +80,7 @@ class Tally:
         accepted: Number of accepted commands.
         inside: Number of commands that stay within the limits.
         accepted_inside: Number of accepted commands among them.
-        proper: Number of commands among those inside whose set-points stay within the limits too, with the margins.
+        proper: Number of commands among those inside that ask only for values within the limits, with the margins.
         accepted_proper: Number of accepted commands among them.
         escaped: Descriptions of accepted commands that have left the limits.
         box, tool_speed, joint_speed: Largest distance outside of the box in m, and largest speeds in m/s and rad/s, of
@@ -120,7 +122,7 @@ class Tally:
         )
         return (
             f"{self.commands:5d} drawn {self.accepted:5d} accepted {self.inside:5d} stay inside, of which accepted "
-            f"{self.accepted_inside:5d} = {share:7.2%}; set-points too {self.proper:5d}, of which accepted "
+            f"{self.accepted_inside:5d} = {share:7.2%}; ask so {self.proper:5d}, of which accepted "
             f"{self.accepted_proper:5d} = {proper:7.2%}; outside {len(self.escaped):3d}; "
             f"box {self.box * 1e3:+8.2f} mm, tool {self.tool_speed:.4f} m/s, joint {self.joint_speed:.4f} rad/s"
         )
@@ -131,14 +133,14 @@ class Seen:
     """What the arm did: distance outside of the box in m, and largest speeds in m/s and rad/s.
 
     Attributes:
-        setpoints: The same of the set-points of ``servoj``; None if there were none.
+        asked: The same for the set-points and the speeds that the arm was asked for; None if there were none.
     """
 
     box: float
     tool_speed: float
     joint_speed: float
     error: str = ""
-    setpoints: Seen | None = None
+    asked: Seen | None = None
 
     @property
     def is_inside(self) -> bool:
@@ -147,8 +149,8 @@ class Seen:
 
     @property
     def is_proper(self) -> bool:
-        """Whether the arm and its set-points stayed within the limits, with the margins that the page states."""
-        return all(each is None or each._is_within(-MARGIN, STATED_SLACK) for each in (self, self.setpoints))
+        """Whether what the arm did and was asked for is within the limits, with the margins that the page states."""
+        return all(each is None or each._is_within(-MARGIN, STATED_SLACK) for each in (self, self.asked))
 
     def _is_within(self, box: float, slack: float) -> bool:
         return (
@@ -174,6 +176,8 @@ class Bench:
         self.rows: list[tuple[FloatArray, FloatArray]] = []
         #: goals of ``servoj`` in each cycle, in rad
         self.goals = goals
+        #: speeds that the arm was asked for: number of the first row, frame, speeds, and their duration in s
+        self.speeds: list[tuple[int, str, FloatArray, float]] = []
         self.cycle = 1.0 / free.firmware.rate
         #: number of calls that the command has made, and that it may make
         self._made, self._wanted = 0, np.inf
@@ -229,6 +233,7 @@ class Bench:
         assert newest is not None
         self.rows[:] = [(newest.q_target, newest.qd_target)]
         self.goals.clear()
+        self.speeds.clear()
         error = ""
         refusal = None
         try:
@@ -257,16 +262,43 @@ class Bench:
     def seen(self, error: str) -> Seen:
         """Return what the arm did since the command began."""
         q, qd = (np.array(each) for each in zip(*self.rows, strict=True))
-        return dataclasses.replace(self._measured(q, qd), error=error, setpoints=self._setpoints())
+        return dataclasses.replace(self._measured(q, qd), error=error, asked=self._setpoints() or self._speeds())
 
     def _setpoints(self) -> Seen | None:
         """Return what an arm would do that is always at its set-points."""
-        stride = max(round(_PERIOD / self.cycle), 1)
-        goals = np.array(self.goals)
-        if len(goals) <= stride:
+        goals = np.array(self.goals[:: max(round(_PERIOD / self.cycle), 1)])
+        if len(goals) < 4:
             return None
-        begin, end = goals[:-stride], goals[stride:]
-        return self._measured(0.5 * (begin + end), (end - begin) / (stride * self.cycle))
+        begin, end = goals[:-1], goals[1:]
+        rates = (end - begin) / max(_PERIOD, self.cycle)
+        # If a set-point arrives one cycle late, the next step is twice as long. So the median of three steps counts.
+        steady = np.sort(np.stack([np.linalg.norm(rates, axis=1)[i : len(rates) - 2 + i] for i in range(3)]), axis=0)[1]
+        is_steady = np.linalg.norm(rates[1:-1], axis=1) <= steady * (1.0 + 1e-9)
+        if not is_steady.any():
+            return None
+        middles = 0.5 * (begin + end)[1:-1]
+        return self._measured(middles[is_steady], rates[1:-1][is_steady])
+
+    def ask(self, frame: str, speeds: FloatArray, seconds: float) -> None:
+        """Note that the arm is asked for speeds in a frame: "joints", "base" or "tool"."""
+        self.speeds.append((len(self.rows) - 1, frame, speeds, seconds))
+
+    def _speeds(self) -> Seen | None:
+        """Return what an arm would do that is always at the speeds that it was asked for."""
+        if not self.speeds:
+            return None
+        found = []
+        ends = [first for first, *_ in self.speeds[1:]] + [len(self.rows)]
+        for (first, frame, speeds, seconds), end in zip(self.speeds, ends, strict=True):
+            rows = self.rows[first : max(min(end, first + round(seconds / self.cycle)), first + 1)]
+            q = np.array([row[0] for row in rows])
+            rates = np.broadcast_to(speeds, q.shape)
+            if frame != "joints":
+                turns = [np.eye(3) if frame == "base" else rotvec_to_matrix(pose[3:]) for pose in self.arm.forward(q)]
+                twists = [np.concatenate([turn @ speeds[:3], turn @ speeds[3:]]) for turn in turns]
+                rates = np.linalg.solve(self.arm.jacobian(q), np.array(twists)[..., np.newaxis])[..., 0]
+            found.append(self._measured(q, rates))
+        return Seen(*(max(getattr(each, name) for each in found) for name in ("box", "tool_speed", "joint_speed")))
 
     def moved(self) -> FloatArray:
         """Return the positions of the arm from its first to its last motion since the command began, (n, 6) rad."""
@@ -363,24 +395,34 @@ def speed_joints(bench: Bench) -> Command:
     qd = bench.rng.normal(size=6) * bench.log(0.03, 0.6)
     duration, acceleration = bench.log(0.1, 1.5), bench.log(0.5, 4.0)
 
-    return lambda on: _continued(on, lambda: on.motion.speed_joints(qd, acceleration, duration=duration), duration)
+    def start(on: Bench) -> Motion:
+        on.ask("joints", qd, duration)
+        motion: Motion = on.motion.speed_joints(qd, acceleration, duration=duration)
+        return motion
+
+    return lambda on: _continued(on, start, duration)
 
 
 def speed_linear(bench: Bench) -> Command:
     xd = np.concatenate([bench.way(bench.log(0.02, 0.4)), bench.rng.normal(size=3) * 0.1])
     duration, acceleration = bench.log(0.1, 1.5), bench.log(0.3, 3.0)
 
-    return lambda on: _continued(on, lambda: on.motion.speed_linear(xd, acceleration, duration=duration), duration)
+    def start(on: Bench) -> Motion:
+        on.ask("base", xd, duration)
+        motion: Motion = on.motion.speed_linear(xd, acceleration, duration=duration)
+        return motion
+
+    return lambda on: _continued(on, start, duration)
 
 
-def _continued(on: Bench, start: Callable[[], Motion], duration: float) -> None:
+def _continued(on: Bench, start: Callable[[Bench], Motion], duration: float) -> None:
     """Start a motion at one speed. Start it again before a short speed has expired."""
     on.begins_call()
-    motion = start()
+    motion = start(on)
     if duration <= 0.5:
         clock.sleep(0.5 * duration)
         if on.begins_call():
-            motion = start()
+            motion = start(on)
     motion.wait(TIMEOUT)
 
 
@@ -473,6 +515,7 @@ def jog(bench: Bench) -> Command:
             for speeds, pause in moves:
                 if not on.begins_call():
                     break
+                on.ask(str(frame), speeds, timeout)
                 handle.move(speeds)
                 clock.sleep(pause)
                 if handle.limit is not None:
