@@ -14,6 +14,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from linkcore.errors import LocalError
 
@@ -182,6 +183,7 @@ class LimitedArm:
         *,
         starts_fast: bool = False,
         ends_fast: bool = False,
+        zones: tuple[float, float] = (0.0, 0.0),
         start: FloatArray | None = None,
     ) -> None:
         """Check a motion that is straight in joint space, with a trapezoid of the speed of the leading joint.
@@ -190,6 +192,7 @@ class LimitedArm:
             end: Positions of the joints at the end, (6,) rad.
             speed, acceleration: Speed and acceleration of the joint that moves furthest, in rad/s and rad/s².
             starts_fast, ends_fast: Whether the motion begins or ends with a blend, so that it is fast there.
+            zones: Radii in m about both ends. The speeds in these zones are not checked.
             start: Positions at the beginning; None for the position of the arm.
         """
         start = self.q if start is None else start
@@ -204,7 +207,21 @@ class LimitedArm:
             speed = min(speed, float((model.max_speed / shares).min()))
         parts = np.linspace(0.0, 1.0, _count(float(np.abs(way).sum()) / STEP))
         rates = speed_along(parts, length, speed, acceleration, starts_fast, ends_fast)
-        self.check(start + parts[:, np.newaxis] * way, (rates / length)[:, np.newaxis] * way)
+        rows = start + parts[:, np.newaxis] * way
+        self.check(rows, (rates * self.is_beyond(rows, zones) / length)[:, np.newaxis] * way)
+
+    def is_beyond(self, rows: FloatArray, zones: tuple[float, float]) -> NDArray[np.bool_]:
+        """Return whether the TCP is beyond the zones about both ends of a path.
+
+        Args:
+            rows: Positions of the joints on the path, (n, 6) rad.
+            zones: Radii of the zones about the first and the last position, in m.
+        """
+        if not any(zones):
+            return np.ones(len(rows), dtype=np.bool_)
+        places = self.arm.forward(rows, self.tcp)[:, :3]
+        first, last = (np.linalg.norm(places - end, axis=1) for end in (places[0], places[-1]))
+        return np.asarray((first >= zones[0]) & (last >= zones[1]))
 
     def check_corner(self, before: FloatArray, corner: FloatArray, after: FloatArray) -> None:
         """Check the positions of a blend: it stays between the corner and the paths on both sides of it.

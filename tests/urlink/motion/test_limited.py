@@ -191,6 +191,18 @@ def test_path_is_slower_next_to_a_blend_if_necessary(monkeypatch: pytest.MonkeyP
         assert caught.value.limit == "tool_speed"
 
 
+def test_is_beyond_leaves_out_zones_about_both_ends() -> None:
+    with limited() as robot:
+        arm = robot.motion._context.limited()
+        assert arm is not None
+        rows = READY + np.linspace(0.0, 0.4, 41)[:, np.newaxis] * np.eye(6)[0]
+        places = robot.kinematics.forward(rows)[:, :3]
+        beyond = arm.is_beyond(rows, (0.05, 0.1))
+        assert 0.05 <= np.linalg.norm(places[beyond][0] - places[0]) < 0.06
+        assert 0.1 <= np.linalg.norm(places[beyond][-1] - places[-1]) < 0.11
+        assert arm.is_beyond(rows, (0.0, 0.0)).all()
+
+
 def lift(robot: Robot, q: FloatArray) -> None:
     """Lift the tool by set-points, slowly at first."""
     begin = float(q[1])

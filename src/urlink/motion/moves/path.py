@@ -57,6 +57,8 @@ _LEAP = 0.5
 #: Smallest number of steps on a path that is compared with the limits of a session. It is even, so that a position in
 #: the middle, where a short motion is fastest, is among them.
 _IN_LIMITS = 64
+#: Largest distance from the corner at which a blend ends, compared with the distance at which it begins (assumed).
+_ENDS_LATER = 2.0
 #: Fractions of the speed that are tried for a segment that would exceed a limit of the session next to a blend. At less
 #: than half of its speed, the path would be too different from the path that was asked for (chosen).
 _SLOWER = tuple(0.05 * part for part in range(19, 9, -1))
@@ -396,8 +398,7 @@ class _Planner:
         assert self._limited is not None
         places = self._arm.forward(rows, self._tcp)[:, :3]
         if before > 0.0:
-            # The blend may end further from the corner than it has begun (assumed: up to twice as far).
-            near = np.linalg.norm(places - places[0], axis=1) <= 2.0 * before
+            near = np.linalg.norm(places - places[0], axis=1) <= _ENDS_LATER * before
             self._limited.check_corner(self._zone, rows[0], _thinned(rows[near]))
         self._zone = _thinned(rows[np.linalg.norm(places - places[-1], axis=1) <= after])
 
@@ -409,15 +410,16 @@ class _Planner:
         speed: float,
         acceleration: float,
         *,
-        starts_fast: bool,
-        ends_fast: bool,
+        starts_fast: bool = False,
+        ends_fast: bool = False,
+        zones: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         """Compare the motion along a curve with the limits of the session."""
         way, steps = _counted(curve), len(rows) - 1
         if way == 0.0:
             return
         parts = np.linspace(0.0, 1.0, steps + 1)
-        speeds = speed_along(parts, way, speed, acceleration, starts_fast, ends_fast)
+        speeds = speed_along(parts, way, speed, acceleration, starts_fast, ends_fast) * limited.is_beyond(rows, zones)
         limited.check(rows)
         limited.limits.check_tool_speeds(speeds * curve.length / way)
         middles = np.maximum(speeds[1:], speeds[:-1])[:, np.newaxis]
@@ -495,16 +497,16 @@ class _Planner:
 def _slowed(rate: Rates, before: float, after: float, check: Callable[..., None]) -> Rates:
     """Return the rates of a segment in a session with limits, after they have been compared with the limits.
 
-    The speed next to a blend is not published, so the arm might have its whole speed there. If it exceeds a limit of
-    speed only for this reason, the segment gets a lower speed.
+    The speed in a blend is not published, so the arm might have its whole speed there. If only this exceeds a limit of
+    speed, the segment gets a lower speed.
 
     Args:
         rate: Rates of the segment.
         before, after: Radii of the blends at both ends, in m.
-        check: Function that compares the segment with the limits: `check(speed, acceleration, starts_fast, ends_fast)`.
+        check: Function that compares the segment with the limits, like `LimitedArm.check_joint_way`.
 
     Raises:
-        LimitExceeded: If the segment exceeds a limit without its blends, or even at a low speed.
+        LimitExceeded: If the segment exceeds a limit beyond its blends, or even at a low speed.
     """
     fast = {"starts_fast": before > 0.0, "ends_fast": after > 0.0}
     try:
@@ -515,7 +517,7 @@ def _slowed(rate: Rates, before: float, after: float, check: Callable[..., None]
         refusal = error
     else:
         return rate
-    check(rate.speed, rate.acceleration, starts_fast=False, ends_fast=False)
+    check(rate.speed, rate.acceleration, zones=(_ENDS_LATER * before, after))
     for share in _SLOWER:
         slower = replace(rate, speed=share * rate.speed)
         with contextlib.suppress(LimitExceeded):
