@@ -360,8 +360,8 @@ class LimitedArm:
     def _stops_surely(self, qd: list[float], acceleration: float, seconds: float) -> bool:
         """Whether an upper bound of the motion of `check_joint_stop` is within the limits.
 
-        The position of the TCP is linear in the turns of the joints, except for a rest. The second derivative by the
-        joints i and k is at most the distance of the TCP from the axis of the joint that is closer to the TCP.
+        The position of the TCP is computed as if it were linear in the turns of the joints. The second derivatives
+        limit the error. For two joints, the derivative is at most the distance of the TCP from the axis of the second.
         """
         before: list[float] = self.qd.tolist()
         rise = max(abs(b - a) for a, b in zip(before, qd, strict=True)) / acceleration
@@ -372,7 +372,7 @@ class LimitedArm:
         if limits.joint_speed is not None and not max(most) <= limits.joint_speed:
             return False
         braking = max(map(abs, reached)) / acceleration
-        # Largest acceleration of the TCP, in m/s², at these speeds of the joints.
+        # Largest acceleration of the TCP, in m/s², at these speeds of the joints. The order of two joints counts twice.
         bend = inner = 0.0
         for radius, speed in zip(self._radii, most, strict=True):
             bend += radius * speed * (speed + 2.0 * inner)
