@@ -14,7 +14,7 @@ from packaging.requirements import Requirement
 # nox runs this file from its own folder, but does not look for modules there.
 sys.path.insert(0, str(Path(__file__).parent))
 
-from noxfile import COMPILED, DOCTESTS, EXAMPLES, EXTRAS, PARALLEL, TESTED, group, install, slow, tests
+from noxfile import DOCTESTS, EXAMPLES, EXTRAS, LEAN, PARALLEL, TESTED, group, install, slow, tests
 
 nox.needs_version = ">=2025.2.9"
 nox.options.sessions = [
@@ -49,7 +49,7 @@ def floors(session: nox.Session) -> None:
     install(session, *group("tests"), "websockets", f"--constraint={constraints}")
     # An old release may use deprecated parts of a newer package. That is not a fault of this project.
     ignored = ("-W", "default::DeprecationWarning")
-    session.run("pytest", *PARALLEL, *ignored, *(session.posargs or TESTED), env=COMPILED)
+    session.run("pytest", *PARALLEL, *ignored, *(session.posargs or TESTED), env=LEAN)
 
 
 @nox.session
@@ -80,7 +80,7 @@ def free_threaded(session: nox.Session) -> None:
     required = [each for each in group("tests") if not each.startswith(("hypothesis", "mcap"))]
     install(session, *required, "hypothesis<6.140", extras="[cli]")
     # Without this, the import of an extension module that is not prepared for it would enable the lock again.
-    without = {**COMPILED, "PYTHON_GIL": "0"}
+    without = {**LEAN, "PYTHON_GIL": "0"}
     session.run("python", "-c", "import numpy, sys; assert not sys._is_gil_enabled()", env=without)
     session.run("pytest", *PARALLEL, *(session.posargs or ["-m", "not slow", "tests"]), env=without)
     if not session.posargs:
@@ -183,7 +183,7 @@ def fuzz(session: nox.Session) -> None:
         "property or matrix",
         "--timeout=1800",
         *(session.posargs or TESTED),
-        env={**COMPILED, "HYPOTHESIS_PROFILE": "fuzz"},
+        env={**LEAN, "HYPOTHESIS_PROFILE": "fuzz"},
     )
 
 
@@ -240,4 +240,4 @@ def newest(session: nox.Session) -> None:
     # Real packets and clients of other projects must not contain unknown data.
     session.run("pytest", *ignored, "tests/interop", *session.posargs, env=strict, success_codes=[0, 5])
     session.run("pytest", *PARALLEL, "-m", "captures", "tests", *session.posargs, env=strict, success_codes=[0, 5])
-    session.run("pytest", *PARALLEL, *ignored, "tests", *session.posargs, env=COMPILED)
+    session.run("pytest", *PARALLEL, *ignored, "tests", *session.posargs, env=LEAN)

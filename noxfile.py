@@ -28,9 +28,12 @@ PROCESSORS = os.cpu_count() or 1
 # free processor time.
 PARALLEL = (f"-n{min(PROCESSORS + 1, 4)}", "--dist=worksteal")
 
-# Hundreds of tests start an interpreter. If the environment forbids bytecode files, each interpreter compiles every
-# module again, which takes a fifth of the time of all tests.
-COMPILED = {"PYTHONDONTWRITEBYTECODE": None}
+# Environment of the test processes.
+# PYTHONDONTWRITEBYTECODE: hundreds of tests start an interpreter. If the environment forbids bytecode files, each
+# interpreter compiles every module again, which takes a fifth of the time of all tests.
+# OPENBLAS_NUM_THREADS: numpy would compute large matrices in as many threads as there are processors. These threads
+# wait for each other in busy loops. While other test processes run, a fit then takes four times the processor time.
+LEAN = {"PYTHONDONTWRITEBYTECODE": None, "OPENBLAS_NUM_THREADS": "1"}
 
 #: Checks that `nox -s tests` leaves out, and the commands that run them.
 NOT_RUN = (
@@ -42,8 +45,8 @@ NOT_RUN = (
 #: The packages in packages/ that need no middleware. Every session that runs tests installs them, and their tests run
 #: together with the tests of the library.
 LIGHT = ("accept", "compat", "view")
-#: Folders with tests.
-TESTED = ("tests", *(f"packages/{each}" for each in LIGHT))
+#: Folders with tests. The folder with the longest tests is first, so that they do not run alone at the end.
+TESTED = (*(f"packages/{each}" for each in LIGHT), "tests")
 #: Options of pytest for the examples in pages and docstrings, and the places of these examples.
 DOCTESTS = ("--doctest-modules", "--doctest-glob=*.md", "--ignore=docs/conf.py")
 EXAMPLES = ("src", "docs", "README.md")
@@ -87,9 +90,10 @@ def tests(session: nox.Session) -> None:
         *DOCTESTS,
         "-m",
         "not slow",
-        *present(*TESTED, *EXAMPLES),
+        # The examples include some of the longest tests, which would run alone at the end if they came last.
+        *present(*EXAMPLES, *TESTED),
     ]
-    session.run("pytest", *(session.posargs or everything), env=COMPILED)
+    session.run("pytest", *(session.posargs or everything), env=LEAN)
     if not session.posargs:
         session.log(NOT_RUN)
 
@@ -101,7 +105,7 @@ def _rewrite_asserts(session: nox.Session) -> None:
     """
     modules = sorted(str(path) for folder in TESTED for path in (ROOT / folder).rglob("test_*.py"))
     shares = [modules[first::PROCESSORS] for first in range(PROCESSORS)]
-    environment = {key: value for key, value in os.environ.items() if key not in COMPILED}
+    environment = {key: value for key, value in os.environ.items() if key not in LEAN}
     command = [f"{session.bin}/python", "-m", "pytest", "--collect-only", "-qq"]
     processes = [subprocess.Popen([*command, *share], env=environment, stdout=subprocess.DEVNULL) for share in shares]
     for process in processes:
@@ -112,7 +116,7 @@ def _rewrite_asserts(session: nox.Session) -> None:
 def slow(session: nox.Session) -> None:
     """Run the tests that take a fifth of a second of processor time or more. Run it before you commit."""
     install(session, *group("tests"))
-    session.run("pytest", *PARALLEL, "-m", "slow", *(session.posargs or TESTED), env=COMPILED)
+    session.run("pytest", *PARALLEL, "-m", "slow", *(session.posargs or TESTED), env=LEAN)
 
 
 @nox.session
@@ -237,7 +241,7 @@ def packages(session: nox.Session) -> None:
         # The tests of `LIGHT` packages use the fixtures of the library's own tests.
         own = () if package in LIGHT else ("--confcutdir=packages",)
         tests = f"packages/{package}/tests"
-        session.run(python, "-m", "pytest", *PARALLEL, *own, tests, env=COMPILED, external=True)
+        session.run(python, "-m", "pytest", *PARALLEL, *own, tests, env=LEAN, external=True)
 
 
 @nox.session

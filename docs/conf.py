@@ -27,6 +27,7 @@ extensions = [
     "layouts",
     "lives",
     "missions",
+    "navigation",
     "packages",
     "parameters",
     "plots",

@@ -15,6 +15,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Generic, TypeVar
 
+#: Longest time that the packets of a `DeferredBatch` cover, in s.
+LONGEST_BATCH = 0.128
+
 
 class Deferred:
     """Data whose bytes are made when they are read.
@@ -53,8 +56,13 @@ class SteadyBytes(bytes):
 
     is_steady = True
 
+    @property
+    def head(self) -> bytes:
+        """All bytes; see `Deferred.head`."""
+        return self
 
-D = TypeVar("D", bound=Deferred)
+
+D = TypeVar("D", bound="Deferred | SteadyBytes")
 
 
 class DeferredBatch(Deferred, Generic[D]):

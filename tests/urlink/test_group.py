@@ -419,7 +419,7 @@ def test_replace_and_clear_take_effect_in_all_arms_at_once(firmwares: tuple[str,
 
 @pytest.mark.slow
 def test_replace_changes_no_arm_when_one_arm_refuses() -> None:
-    with pair(22) as both, both.group.stream() as stream:
+    with pair(22, *CB3) as both, both.group.stream() as stream:
         stream.append(both.dense(), wait=False)
         time.sleep(0.8)
         far = [beside(path, 1.0 * number) for number, path in enumerate(both.dense(1.0))]
@@ -457,7 +457,7 @@ def test_replace_too_late_for_one_arm_clears_all() -> None:
 
 @pytest.mark.slow
 def test_replace_too_late_for_all_arms_changes_nothing() -> None:
-    with pair(23) as both, both.group.stream(buffer=1.5) as stream:
+    with pair(23, *CB3) as both, both.group.stream(buffer=1.5) as stream:
         stream.append(both.dense(), wait=False)
         time.sleep(0.8)
         assert stream.buffered == pytest.approx(stream.end - stream.time, abs=0.01)

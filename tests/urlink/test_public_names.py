@@ -196,8 +196,8 @@ SURFACES = {
         remove scene wrench""",
     "robot.controller.gripper": """exchange fault holds_object is_active is_connected place position registers reply
         take_away""",
-    "robot.controller.tool_serial": """device exchange greeting is_offered later_packets next_cycle packets
-        receiver skip steady_packet""",
+    "robot.controller.tool_serial": """device exchange greeting is_offered last_ahead last_steady later_packets
+        next_cycle packets receiver send_ahead skip steady_packet""",
     "robot.controller.faults": """append clear cut drag emergency_stop garbage heal merge power_off power_on
         protective_stop reboot rtde_data_before_start rtde_hello rtde_late_data rtde_no_data rtde_reboot_at_request
         rtde_refuse_protocol_2 rtde_refuse_start rtde_stale_inputs rtde_text rtde_text_before_reply

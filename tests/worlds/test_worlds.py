@@ -1,4 +1,4 @@
-"""Worlds in simulated time: 300 in these tests, and any number with `nox -f nightly.py -s simulate`."""
+"""Worlds in simulated time: 200 in these tests, and any number with `nox -f nightly.py -s simulate`."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ FAILED = [*OF_THE_LIBRARY, *OF_OTHERS]
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.mark.parametrize("seeds", [range(first, first + 10) for first in range(0, 300, 10)], ids=str)
+@pytest.mark.parametrize("seeds", [range(first, first + 10) for first in range(0, 200, 10)], ids=str)
 def test_arm_moves_only_when_requested(seeds: range) -> None:
     for seed in seeds:
         outcome = run(draw(seed))

@@ -40,7 +40,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 
 from .. import clock
-from ..deferred import Deferred
+from ..deferred import Deferred, SteadyBytes
 from ..errors import BadAddress, LinkTimeout
 from .listener import bound_socket, numeric_host
 
@@ -173,14 +173,14 @@ class Connection:
         """Whether the next data goes directly to a simulated socket, because no earlier data waits."""
         return self._sends_deferred and not self._pending and self.is_open and not self._is_deaf
 
-    def write_steady(self, packet: Deferred) -> bool:
+    def write_steady(self, packet: Deferred | SteadyBytes) -> bool:
         """Send a steady packet, and let simulated time pass until it arrives.
 
         Return False, and send nothing, if something else could happen before that, and always in real time.
         """
         if not self._is_direct or not self._socket.send_steady(packet):  # type: ignore[attr-defined]  # it is a simulated socket
             return False
-        self.last_activity = self._loop.time()
+        self.last_activity = self._loop.looked_at
         return True
 
     @property
@@ -191,7 +191,7 @@ class Connection:
         seconds: float = self._socket.quiet_time  # type: ignore[attr-defined]  # it is a simulated socket
         return seconds
 
-    def write_batch(self, packets: Sequence[Deferred], delays: Sequence[float]) -> None:
+    def write_batch(self, packets: Sequence[Deferred | SteadyBytes], delays: Sequence[float]) -> None:
         """Send steady packets, each after a delay in s from now. `quiet_time` limits the delays."""
         self._socket.send_batch(packets, delays)  # type: ignore[attr-defined]
         self.last_activity = self._loop.time()
@@ -484,6 +484,8 @@ class SelectorLoop:
         self.time = clock
         self.ports: list[ListeningPort] = []
         self.failures = 0
+        #: Time of the last call of `instead`; see `serve_once`.
+        self.looked_at = clock()
         self._owner: int | None = None
         self._lock = threading.RLock()  # re-entrant for signal handlers
         self._is_closed = False
@@ -657,6 +659,7 @@ class SelectorLoop:
 
             def call() -> float | None:
                 until, now = work(), self.time()
+                self.looked_at = now
                 if until is None or self._calls or self._lost or self._earliest <= now:
                     return None
                 return max(min(until, self._earliest) - now, 0.0)

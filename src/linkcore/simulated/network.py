@@ -166,19 +166,23 @@ class Listener:
 
 
 class ReceiveBuffer:
-    """Data that a kernel has received for a program. A packet whose bytes are not made yet stays one object."""
+    """Data that a kernel has received for a program. A packet whose bytes are not made yet stays one object.
+
+    Attributes:
+        size: Number of bytes.
+    """
 
     def __init__(self) -> None:
         self._chunks: deque[bytes | memoryview | Deferred] = deque()
-        self._size = 0
+        self.size = 0
 
     def __len__(self) -> int:
-        return self._size
+        return self.size
 
     def put(self, data: bytes | Deferred) -> None:
         """Append received data."""
         self._chunks.append(data)
-        self._size += len(data)
+        self.size += len(data)
 
     def peek(self, size: int) -> bytes:
         """Return the first bytes, at most `size`."""
@@ -194,7 +198,7 @@ class ReceiveBuffer:
                 chunk = chunk[:size]
             taken.append(chunk)
             size -= len(chunk)
-            self._size -= len(chunk)
+            self.size -= len(chunk)
         return taken[0] if len(taken) == 1 else b"".join(taken)
 
     def take_deferred(self, size: int) -> bytes | Deferred:
@@ -203,7 +207,7 @@ class ReceiveBuffer:
         if len(self._chunks) > 1 or isinstance(first, (bytes, memoryview)) or len(first) > size:
             return self.take(size)
         self._chunks.clear()
-        self._size = 0
+        self.size = 0
         return first
 
 
@@ -281,7 +285,7 @@ class End:
             self.network.scheduler.note(data if isinstance(data, bytes) else data.head)
         return size
 
-    def send_batch(self, packets: Sequence[Deferred], delays: Sequence[float]) -> None:
+    def send_batch(self, packets: Sequence[Deferred | SteadyBytes], delays: Sequence[float]) -> None:
         """Send packets, each after a delay in s from now. They arrive together, when the last one arrives.
 
         The caller has checked `quiet_time` and `room`.
@@ -299,14 +303,14 @@ class End:
         scheduler.note(batch.head)
         self._send(batch, len(batch))
 
-    def pass_on(self, packet: Deferred) -> bool:
+    def pass_on(self, packet: Deferred | SteadyBytes) -> bool:
         """Send a steady packet, and let time pass until it arrives.
 
         Return False, and send nothing, if anything else could happen before that. The function replaces the events of
         sending, arrival and acknowledgement. It is for a call of `Scheduler.call_at` that does nothing else afterwards.
         """
         peer, size, scheduler = self.peer, len(packet), self.network.scheduler
-        if peer is None or self._quiet_time(size) <= 0.0 or peer.is_closing or len(peer.received) + size > BUFFER:
+        if peer is None or self._quiet_time(size) <= 0.0 or peer.is_closing or peer.received.size + size > BUFFER:
             return False
         route = self.network.route(self.computer, peer.computer)
         takes = route.latency + route.jitter * scheduler.random.random() + size / route.bandwidth
@@ -421,7 +425,7 @@ class End:
         owner = self.owner
         if (
             isinstance(data, (Deferred, SteadyBytes))
-            and not self.received
+            and not self.received.size
             and owner is not None
             and owner.pass_on(data)
         ):

@@ -333,12 +333,12 @@ class Socket(Pollable):
             return 0.0
         return max(end.quiet_time, 0.0)
 
-    def send_steady(self, packet: Deferred) -> bool:
+    def send_steady(self, packet: Deferred | SteadyBytes) -> bool:
         """Send a steady packet, and let time pass until it arrives; see `End.pass_on`."""
         end = self._end
         return end is not None and end.pass_on(packet)
 
-    def send_batch(self, packets: Sequence[Deferred], delays: Sequence[float]) -> None:
+    def send_batch(self, packets: Sequence[Deferred | SteadyBytes], delays: Sequence[float]) -> None:
         """Send steady packets, each after a delay in s from now; see `DeferredBatch`."""
         self._connected().send_batch(packets, delays)
 

@@ -462,7 +462,7 @@ class Connection:
         fan_out, silence = self.fan_out, self.silence
         if fan_out.taps:
             fan_out.tap(data, receiver.rest, stamp)
-        packets = receiver.feed(data, stamp)
+        packets = receiver.feed_steady(data, stamp) if is_steady else receiver.feed(data, stamp)
         if packets:
             silence.last = stamp[0]
             if silence.is_quiet:
@@ -476,7 +476,8 @@ class Connection:
 
         Return whether the packet was published, and the seconds that the reader waits for the next data.
         """
-        if not (self.fan_out.takes_at_once() and receiver.is_next(data)):
+        takes = self.fan_out.takes_batches if receiver.leaves_unread else self.fan_out.takes_at_once
+        if not (takes() and receiver.is_next(data)):
             return False, None
         self._take(receiver, data, Stamp.now(), is_steady=True)
         return True, self.silence.wait

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 from ..clock import Stamp
 from .connection_life import Chunk, ConnectionEvent, Traffic
-from .subscription import Delivery
+from .subscription import Delivery, InlineDelivery
 
 #: Makes a NamedTuple without its own `__new__`, which would be a call of Python code for each packet.
 _new = tuple.__new__
@@ -35,17 +35,18 @@ class Sink(Protocol):
     def offer(self, packets: Sequence[Any]) -> None:
         """Accept packets."""
 
-    def offer_steady(self, packets: Sequence[Any]) -> None:
-        """Accept packets that differ from their predecessor only in time and in measured or computed values."""
-
-    def only_changes(self) -> bool:
-        """Whether the sink currently needs no such packets."""
-
     def end(self) -> None:
         """Accept no more packets; queued packets are still delivered."""
 
     def close(self) -> None:
         """Accept no more packets, and drop queued packets."""
+
+
+class Unread(Protocol):
+    """Packet with parts that a simulated peer has sent, and that is only made if somebody asks for it."""
+
+    def read(self) -> Any:
+        """Return the packet."""
 
 
 class _Route(NamedTuple):
@@ -89,11 +90,16 @@ class FanOut:
         self._deliveries: dict[Delivery, None] = {}
         # The reader uses these tuples, which are made from the routes: all sinks, the queues, the inline callbacks.
         self._offers: tuple[tuple[_Offer, ...], tuple[_Offer, ...], tuple[_Offer, ...]] = ((), (), ())
-        # The same sinks, for steady packets.
-        self._steady: tuple[Sink, ...] = ()
+        # For steady packets: the same sinks, those that are inline callbacks, whether there are others, and whether one
+        # of those makes the reader wait.
+        self._steady: tuple[_Offer, ...] = ()
+        self._inline: tuple[InlineDelivery, ...] = ()
+        self._has_queues = self._makes_reader_wait = False
         self.taps: tuple[Sink, ...] = ()
         self._last: Any = None  # the newest packet, only for streams whose packets have no parts
         self._newest: dict[type, tuple[int, Any]] = {}
+        # Newest packet of a simulated peer, until somebody asks for its parts; see `Unread`.
+        self._unread: Unread | None = None
         self._number = 0
 
     # -- called by the reader ------------------------------------------------------------------
@@ -118,14 +124,14 @@ class FanOut:
         """
         if self._parts is None:
             self._last = packets[-1]
+        elif is_steady and hasattr(packets[-1], "read"):
+            self._unread = packets[-1]
         else:
-            for packet in packets:
-                self._remember(packet)
-                for part in self._parts(packet):
-                    self._remember(part)
+            self._read()
+            self._remember_all(packets)
         if is_steady:
-            for sink in self._steady:
-                sink.offer_steady(packets)
+            for offer in self._steady:
+                offer(packets)
             return
         every, queues, callbacks = self._offers
         if len(packets) == 1 or len(callbacks) < 2:
@@ -140,13 +146,11 @@ class FanOut:
 
     def takes_batches(self) -> bool:
         """Whether no sink needs each of several steady packets at the time of its arrival."""
-        return not self.taps and self._parts is None and all(sink.only_changes() for sink in self._steady)
+        return not (self._has_queues or self.taps) and all(sink.only_changes() for sink in self._inline)
 
     def takes_at_once(self) -> bool:
         """Whether no sink makes the reader wait, or calls a function of the user, for a steady packet."""
-        if self.taps:
-            return False
-        return all(not sink.makes_reader_wait and (not sink.is_inline or sink.only_changes()) for sink in self._steady)
+        return not (self._makes_reader_wait or self.taps) and all(sink.only_changes() for sink in self._inline)
 
     def tell(self, event: ConnectionEvent) -> None:
         """Publish a change of the connection."""
@@ -157,7 +161,7 @@ class FanOut:
     def forget(self) -> None:
         """Forget the newest packets."""
         self._newest = {}
-        self._last = None
+        self._last = self._unread = None
 
     def end(self) -> None:
         """End all sinks: no more packets will arrive, but queued packets are still delivered."""
@@ -168,6 +172,19 @@ class FanOut:
             self._update()
         for route in routes:
             route.sink.end()
+
+    def _read(self) -> None:
+        """Make the newest packet of a simulated peer, with its parts, if it was not made yet."""
+        unread, self._unread = self._unread, None
+        if unread is not None:
+            self._remember_all([unread.read()])
+
+    def _remember_all(self, packets: Sequence[Any]) -> None:
+        assert self._parts is not None, "the packets have no parts"
+        for packet in packets:
+            self._remember(packet)
+            for part in self._parts(packet):
+                self._remember(part)
 
     def _remember(self, packet: Any) -> None:
         self._number += 1
@@ -184,6 +201,7 @@ class FanOut:
         if self._parts is None:
             last = self._last if self._ahead is None else self._ahead()
             return last if isinstance(last, kind) else None
+        self._read()
         exact = self._newest.get(kind)
         if exact is not None:
             found: K = exact[1]
@@ -257,7 +275,10 @@ class FanOut:
             last = [route for route in offered if route.sink.is_inline]
             queues, callbacks = tuple([route.offer for route in first]), tuple([route.offer for route in last])
             self._offers = (queues + callbacks, queues, callbacks)
-            self._steady = tuple([route.sink for route in first + last])
+            self._inline = tuple([sink for sink in (route.sink for route in last) if isinstance(sink, InlineDelivery)])
+            self._has_queues = bool(first)
+            self._makes_reader_wait = any(route.sink.makes_reader_wait for route in first)
+            self._steady = queues + tuple([sink.offer_steady for sink in self._inline])
             self.taps = tuple([route.sink for route in known if route.group is Traffic])
 
     # -- callbacks -------------------------------------------------------------------------------

@@ -204,14 +204,6 @@ class BoundedQueue(abc.ABC):
         if self.is_over:  # it was closed meanwhile, or its consumer has just ended
             self._discard()
 
-    def offer_steady(self, packets: Sequence[Any]) -> None:
-        """Add packets, as `offer` does, because the consumer gets each packet."""
-        self.offer(packets)
-
-    def only_changes(self) -> bool:
-        """Return False, because the consumer gets each packet."""
-        return False
-
     def end(self) -> None:
         """Accept no more packets; queued packets can still be taken. Idempotent."""
         self._is_ended = True

@@ -97,6 +97,10 @@ class Receiver:
             counters.look(now, cycles)
         return packets
 
+    def feed_steady(self, data: Any, stamp: Stamp) -> Sequence[Any]:
+        """Do the same for steady packets of a simulated peer; see `DeferredReceiver`."""
+        return self.feed(data, stamp)
+
     def _keep_batch(self, data: bytes, stamp: Stamp) -> None:
         """Record a chunk that is not one packet."""
         flight = self._flight
@@ -157,19 +161,30 @@ class DeferredReceiver(Receiver):
     """Receiver for a simulated connection, which delivers bytes, and packets whose bytes are not made yet.
 
     It counts the same as `Receiver` does for the bytes of the packets.
+
+    Attributes:
+        leaves_unread: Whether `feed_steady` makes a packet only if somebody asks for it, so that no subscriber may need
+            it.
     """
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
-        take = None if self._strictly is not None else getattr(self._protocol, "take_deferred", None)
+        take, steady = (
+            None if self._strictly is not None else getattr(self._protocol, name, None)
+            for name in ("take_deferred", "take_steady")
+        )
         self._take: Callable[[DeferredPacket, Stamp], Any] | None = take
+        self._take_steady: Callable[[Deferred, Stamp], Any] | None = steady
+        self.leaves_unread = steady is not None
+        if steady is None:
+            self.feed_steady = self.feed  # type: ignore[method-assign]
 
     def is_next(self, data: Deferred | SteadyBytes) -> bool:
         """Whether a packet directly follows the last one of this connection. Otherwise it might not be steady."""
-        if isinstance(data, SteadyBytes):
+        if isinstance(data.first if isinstance(data, DeferredBatch) else data, SteadyBytes):
             return not self.rest  # its predecessor is the previous packet of this connection
         cycles = self._protocol.cycles
-        return cycles is not None and cycles.is_next(cycles.time(data.head)[0])
+        return cycles is not None and cycles.is_next(cycles.moment_of(data.head))
 
     def feed(self, data: bytes | Deferred, stamp: Stamp) -> Sequence[Any]:
         """See `Receiver.feed`."""
@@ -179,7 +194,25 @@ class DeferredReceiver(Receiver):
         state = self._take(first, stamp)
         if state is None:
             return super().feed(bytes(data), stamp)
-        count = len(data.packets) if isinstance(data, DeferredBatch) else 1
+        states = SteadyPackets(data, stamp) if isinstance(data, DeferredBatch) else (state,)
+        return self._taken(data, first, states, stamp)
+
+    def feed_steady(self, data: Deferred | SteadyBytes, stamp: Stamp) -> Sequence[Any]:
+        """Do the same for steady packets of which no subscriber needs more than the time of the last one."""
+        parts = zip(data.packets, data.ages, strict=True) if isinstance(data, DeferredBatch) else [(data, 0.0)]
+        take, states = self._take_steady, []
+        for packet, age in parts:
+            state = None
+            if take is not None and isinstance(packet, Deferred):
+                state = take(packet, Stamp(stamp.monotonic - age, stamp.wall - age) if age else stamp)
+            if state is None:
+                return self.feed(data, stamp)
+            states.append(state)
+        return self._taken(data, data.first if isinstance(data, DeferredBatch) else data, states, stamp)
+
+    def _taken(self, data: Any, first: Any, states: Sequence[Any], stamp: Stamp) -> Sequence[Any]:
+        """Count packets whose bytes were not made; return their states."""
+        count = len(states)
         counters, cycles, keep = self._counters, self._protocol.cycles, self._keep
         counters.bytes += len(data)
         counters.received += count
@@ -187,14 +220,11 @@ class DeferredReceiver(Receiver):
             keep(data)
             keep(stamp[0])
         if cycles is not None:
-            cycles.take_moment(cycles.time(first.head)[0])
+            cycles.take_moment(cycles.moment_of(first.head))
+            if count > 1:
+                cycles.last = cycles.moment_of(data.last.head)
         counters.decoded += count
-        packets: Sequence[Any] = (state,)
-        if isinstance(data, DeferredBatch):
-            packets = SteadyPackets(data, stamp)
-            if cycles is not None:
-                cycles.last = cycles.time(data.last.head)[0]
         now = counters.arrived = stamp[0]
         if now >= counters.due:
             counters.look(now, cycles)
-        return packets
+        return states

@@ -331,8 +331,9 @@ class InlineDelivery(Delivery):
         """
         if self._is_closed:
             return
-        self.offered += len(packets)
-        self._delivered += len(packets)
+        count = len(packets)
+        self.offered += count
+        self._delivered += count
         if self._on_steady is not None:
             self._on_steady(packets[-1])
 

@@ -121,6 +121,11 @@ class MissedCycles:
                 last, at_most = moment, self.at_most
         self.last = last
 
+    def moment_of(self, head: bytes) -> float:
+        """Return the time of a packet by the controller's clock in s, from its first bytes; NaN if it has none."""
+        moment = self._moment(head) if self.size < 0 else self.time(head)[0]
+        return _NO_TIME if moment is None else moment
+
     def is_next(self, moment: float) -> bool:
         """Whether no packet is missing before a packet with this time of the controller's clock, in s."""
         return 0.0 < moment - self.last <= (1.0 + _SLACK) * self._period

@@ -109,6 +109,12 @@ class _Run:
     def has_begun(self) -> bool:
         return self.life.happened(Event.BEGIN) is not None
 
+    @property
+    def is_settled(self) -> bool:
+        """Whether the program is known to run, and only a change of the robot's mode can end it."""
+        happened = self.life.happened
+        return self.was_seen and not (happened(Event.STOP) or happened(Event.REPORT) or self.wrapped.is_secondary)
+
 
 class Programs:
     """Sends programs, and keeps a record of the programs that have not ended.
@@ -386,7 +392,10 @@ class Programs:
                 on_packet(packet)
 
         try:
-            subscriptions.append(self._primary.subscribe_inline(State, partial(only_once, self.on_packet)))
+            on_packet = partial(only_once, self.on_packet)
+            subscriptions.append(
+                self._primary.subscribe_inline(State, on_packet, only_changes=self._needs_only_changes)
+            )
             subscriptions.append(self._primary.subscribe_inline(ConnectionEvent, partial(only_once, self.on_event)))
         except BaseException:
             _close(subscriptions)
@@ -407,6 +416,13 @@ class Programs:
                 run.life.fail(NotRunning(what) if run.is_motion else ConnectionLost(what))
         if event.state in (ConnectionState.IDLE, ConnectionState.CLOSED):  # gave up: subscribe again when needed
             self._subscriptions.take()
+
+    def _needs_only_changes(self) -> bool:
+        """Whether a robot state with the same modes as the previous one has no effect.
+
+        This is so if each program is known to run, and none has to be stopped.
+        """
+        return self._given_up.phase is GivenUpPhase.NONE and all(run.is_settled for run in self._pending())
 
     def on_packet(self, packet: State) -> None:
         """Handle a packet of the primary interface."""

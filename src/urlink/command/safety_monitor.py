@@ -327,12 +327,17 @@ class SafetyMonitor:
         return is_settled and self._interlock.is_clear and not self._waiting and not self._section.is_held
 
     def _renew(self, name: str, state: State) -> None:
-        """Record the time of a state that shows the same modes as the previous one."""
-        with self._section.lock:
-            self._interlock.renew(name, self._came(state))
+        """Record the time of a state that shows the same modes as the previous one.
+
+        No thread is in the critical section, because `_needs_only_changes` has just returned True.
+        """
+        received = state.received
+        if received is not None:
+            self._interlock.renew(name, received.monotonic)
 
     def _came(self, packet: State) -> float:
-        return packet.received.monotonic if packet.received is not None else self.clock()
+        received = packet.received
+        return received.monotonic if received is not None else self.clock()
 
     def _observe(self, change: Callable[[], LinkError | None]) -> None:
         with self._section.lock:

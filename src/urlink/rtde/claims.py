@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from linkcore import clock
+from linkcore.deferred import LONGEST_BATCH
 from linkcore.errors import Closed, ConnectionLost, LinkTimeout
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import ConnectionState
@@ -184,8 +185,8 @@ class BriefClaims:
         claims = self._connect(Requests(("timestamp",), _HEARTBEAT, inputs=[names]))
         connection = claims.connection
 
-        def is_held() -> bool:
-            return clock.now() - self._used <= HOLD
+        def is_held(longer: float = 0.0) -> bool:
+            return clock.now() + longer - self._used <= HOLD
 
         def look(state: Outputs) -> None:
             if not is_held():
@@ -195,7 +196,7 @@ class BriefClaims:
         try:
             if self._is_closed:
                 raise Closed(f"{connection.name} was closed")
-            connection.subscribe_inline(Outputs, look, only_changes=is_held)
+            connection.subscribe_inline(Outputs, look, only_changes=lambda: is_held(LONGEST_BATCH))
         except BaseException:
             self.abort()  # in a delayed process, the connection might still be established
             raise

@@ -22,7 +22,7 @@ from . import messages
 from .faults import FaultSchedule
 from .programs.runner import ProgramRunner
 from .robot.sensors import SampleAt, Samples
-from .robot.setpoint_sources import Course
+from .robot.setpoint_sources import Course, Setpoint
 from .robot.surroundings import Plane, Spring
 from .state import ControllerState
 
@@ -58,7 +58,7 @@ class ControlLoop:
         world = self._state.surroundings
         return (
             world.scene is not None
-            or any(type(contact) not in (Plane, Spring) for contact in world.contacts)
+            or bool(world.contacts and any(type(contact) not in (Plane, Spring) for contact in world.contacts))
             or not self._runner.follows_own_source
         )
 
@@ -106,6 +106,8 @@ class ControlLoop:
                 state.come_up()
             return
         state.uptime += 1
+        if self._glides():
+            return
         setpoint = self._runner.advance(state.period)
         state.arm.advance(state.period, setpoint)
         overload = state.arm.overload
@@ -117,6 +119,25 @@ class ControlLoop:
         if cause is not None:
             for message in messages.safety_messages(state, cause):
                 state.outbox.put(message)
+
+    def _glides(self) -> bool:
+        """Execute a cycle in which only the time and the set-point change.
+
+        Return False, and do nothing, if more might change; see `advance_many`.
+        """
+        state, arm = self._state, self._state.arm
+        if not state.modes.is_unchanging or state.has_safety_change:
+            return False
+        setpoint: Setpoint | None = None
+        if arm.is_gliding:
+            program = self._runner.moving_program
+            setpoint = None if program is None else program.glide(state.period)
+        elif arm.is_unchanging and self._runner.is_unchanging:
+            setpoint = arm.setpoint
+        if setpoint is None:
+            return False
+        arm.glide(state.period, setpoint)
+        return True
 
 
 #: Robot time, in s, by which `passing` advances at once. Bytes from clients are read after each advance.

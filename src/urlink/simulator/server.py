@@ -15,17 +15,18 @@ interface is silent.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 
 from linkcore import clock
-from linkcore.deferred import Deferred
+from linkcore.deferred import LONGEST_BATCH, Deferred, SteadyBytes
 from linkcore.net.loop import Connection, Handler, ListeningPort, SelectorLoop
 from urlink.protocol.ports import interface_of
 
 from .control_loop import ControlLoop, SteppedClock
 from .faults.link import LinkFaults, Segmenter
-from .interfaces.interface import Interface, ReadOnlyReceiver
+from .interfaces.interface import Interface, InterfaceReceiver, ReadOnlyReceiver
 from .programs.loader import ProgramLoader
+from .robot.sensors import Samples
 from .state import ControllerState
 
 #: Age in seconds above which a packet is no longer sent. Up to this age, a client gets the packets of every cycle. If a
@@ -42,14 +43,19 @@ LEAST_RATE = 10
 CHUNK = 1 << 12
 #: Maximum time that other threads wait for the server's thread, in seconds.
 TIMEOUT = 5.0
-#: Maximum number of cycles that are executed before they are due.
-MOST_AHEAD = 64
 #: Seconds within which a client must take the last reply before its connection is closed.
 LAST_REPLY = 2.0
 
 
 class _Client(Handler):
-    """Connection of one client. The link faults of its port apply to the packets that are sent over it."""
+    """Connection of one client. The link faults of its port apply to the packets that are sent over it.
+
+    Attributes:
+        name: Name of the port.
+        connection: The connection.
+        segmenter: Segmenter of its packets, as a fault requires it; None to send packets unchanged.
+        receiver: Receiver of the client's bytes.
+    """
 
     def __init__(self, server: Server, name: str, interface: Interface, connection: Connection) -> None:
         self.name = name
@@ -57,7 +63,9 @@ class _Client(Handler):
         self.segmenter: Segmenter | None = None
         self._server = server
         is_read_only = name.endswith("_readonly")
-        self._receiver = ReadOnlyReceiver(server.counters) if is_read_only else interface.receiver(self)
+        self.receiver: InterfaceReceiver = (
+            ReadOnlyReceiver(server.counters) if is_read_only else interface.receiver(self)
+        )
 
     @property
     def is_open(self) -> bool:
@@ -65,6 +73,13 @@ class _Client(Handler):
 
     def send(self, packet: bytes) -> None:
         self._server.send(self, packet)
+
+    @property
+    def last_quiet_cycle(self) -> int:
+        return self._server.last_quiet_cycle(self)
+
+    def send_batch(self, packets: Sequence[Deferred | SteadyBytes], cycles: Sequence[int]) -> None:
+        self._server.send_batch(self, packets, cycles)
 
     @property
     def pending(self) -> int:
@@ -80,10 +95,10 @@ class _Client(Handler):
         # Catch up first: a request of a client must take effect in the next cycle after its arrival, not in a cycle
         # that is already due.
         self._server.look_at_the_clock()
-        self._receiver.feed(data)
+        self.receiver.feed(data)
 
     def connection_lost(self, reason: str, *, by_peer: bool) -> None:
-        self._receiver.end()
+        self.receiver.end()
         self._server.forget(self)
 
 
@@ -126,7 +141,7 @@ class Server:
         self._clients: dict[str, list[_Client]] = {name: [] for name in numbers}
         self._watched: set[str] = set()
         # Names of the ports of each interface, and their clients.
-        self._clients_of = {
+        self._ports_of = {
             kind: [(name, self._clients[name]) for name in (kind, f"{kind}_readonly") if name in self._clients]
             for kind in interfaces
         }
@@ -136,6 +151,9 @@ class Server:
         self._interfaces = interfaces
         # Interfaces that send packets on their own; the others only reply to clients.
         self._emitting = [item for item in interfaces.items() if type(item[1]).packets is not Interface.packets]
+        # The same, with the real-time interface at the end, because its packets wake most threads, and steady packets
+        # can only arrive at once while no thread is ready.
+        self._passing_on = sorted(self._emitting, key=lambda item: item[0] == "realtime")
         self._loader = loader
         self._link = link
         self._sockets = SelectorLoop(clock)
@@ -145,6 +163,11 @@ class Server:
         self._is_changed = False
         # Whether the current cycle was executed before it is due, and its packets must be sent when it is due.
         self._is_held = False
+        # First cycle in which an interface other than the real-time interface sends packets, as long as no client sends
+        # anything; 0 if unknown.
+        self._others_due = 0
+        # Whether steady packets may arrive at once, because the cycle that is due is the only work to do.
+        self._passes_on = False
         # Whether the last `catch_up` ran out of time.
         self._is_behind = False
         self._rate = state.rate
@@ -250,18 +273,22 @@ class Server:
         client = None if self._is_held or self._link.is_any_stalled else self._only_client
         if client is not None:
             self._run_ahead(client)
-            if self._state.cycle == now - 1 and self._pass_on(client):
+            if self._state.cycle == now - 1 and self._pass_on(client.connection):
                 return self._epoch + (now + 1 - self._first) / self._rate
-        self.catch_up()
+            self._passes_on = self._state.cycle == now - 1
+        try:
+            self.catch_up()
+        finally:
+            self._passes_on = False
         return self._due()
 
     @property
-    def _only_client(self) -> Connection | None:
-        """Connection of the only client of the real-time interface; None without one, or if its link has faults."""
+    def _only_client(self) -> _Client | None:
+        """The only client of the real-time interface; None without one, or if its link has faults."""
         clients = self._clients.get("realtime", ())
         if len(clients) != 1 or self._clients.get("realtime_readonly") or clients[0].segmenter is not None:
             return None
-        return clients[0].connection
+        return clients[0]
 
     def _pass_on(self, client: Connection) -> bool:
         """Execute the cycle that is due, and let its real-time packet arrive; return False if it could not arrive yet.
@@ -269,12 +296,8 @@ class Server:
         This is possible in simulated time if only this packet is sent, and nothing else happens before its arrival.
         """
         state = self._state
-        cycle = state.cycle
-        if not state.is_up:
+        if not state.is_up or self._when_others_are_due() <= state.cycle + 1:
             return False
-        for kind in self._watched:
-            if kind != "realtime" and self._interfaces[kind].next_cycle(cycle) == cycle + 1:
-                return False
         self._control.advance()
         packet = self._interfaces["realtime"].steady_packet()
         if packet is None or not state.outbox.is_empty or not client.write_steady(packet):
@@ -284,39 +307,69 @@ class Server:
         self._settle()
         return True
 
-    def _run_ahead(self, client: Connection) -> None:
-        """Execute cycles before they are due, and send their real-time packets at once.
+    def _when_others_are_due(self) -> int:
+        cycle = self._state.cycle
+        if self._others_due <= cycle:
+            due = [self._interfaces[kind].next_cycle(cycle) for kind in self._watched if kind != "realtime"]
+            # Look again after a second, if nothing is planned.
+            self._others_due = min([cycle + self._rate, *(each for each in due if each is not None)])
+        return self._others_due
+
+    def _run_ahead(self, client: _Client) -> None:
+        """Execute cycles before they are due, and send their packets at once.
 
         This is possible in simulated time while nothing else can happen, the programs use nothing outside of the
-        controller, and the only client of the real-time interface needs no packet at a certain time. The packets that
-        are sent together show the same modes and signals. A cycle that changes one of them, or that sends a message, is
-        executed too, but its packets are sent when the cycle is due.
+        controller, and the clients need no packet at a certain time. The real-time packets that are sent together show
+        the same modes and signals. A cycle that changes one of them, or that sends a message, is executed too, but its
+        packets are sent when the cycle is due.
         """
         state, control = self._state, self._control
-        quiet = client.quiet_time
-        if quiet * self._rate < 2.0 or not control.is_self_contained:
-            return
-        now = self._clock()
         begin = state.cycle
-        last = min(self._first + int((now + quiet - self._epoch) * self._rate), begin + MOST_AHEAD)
-        others = [self._interfaces[kind].next_cycle(begin) for kind in self._watched if kind != "realtime"]
-        last = min([last, *(each - 1 for each in (*others, control.next_fault()) if each is not None)])
+        last = client.last_quiet_cycle
+        if last < begin + 2 or not control.is_self_contained:
+            return
+        fault = control.next_fault()
+        if fault is not None:
+            last = min(last, fault - 1)
+        others = [(self._interfaces[kind], self._clients_of(kind)) for kind in self._watched if kind != "realtime"]
+        steady = min([last, *(interface.last_steady(begin, last, clients) for interface, clients in others)])
+        last = min([last, *(interface.last_ahead(begin, last, clients) for interface, clients in others)])
         realtime = self._interfaces["realtime"]
         packets: Sequence[Deferred] = []
+        samples: Samples | None = None
         while state.cycle < last and not self._is_held:
             control.advance()
             packet = realtime.steady_packet()
             if packet is None or not state.outbox.is_empty:
                 self._is_held = True
-            elif not packets and (samples := control.advance_many(last - state.cycle)) is not None:
+            elif not packets and (samples := control.advance_many(steady - state.cycle)) is not None:
                 packets = realtime.later_packets(samples)
                 break
             else:
                 packets = [*packets, packet]
         if packets:
-            due = [self._epoch + (begin + 1 + at - self._first) / self._rate for at in range(len(packets))]
-            client.write_batch(packets, [max(each - now, 0.0) for each in due])
-            self.counters.sent += len(packets)
+            client.send_batch(packets, range(begin + 1, begin + 1 + len(packets)))
+            for interface, clients in others:
+                interface.send_ahead(begin + len(packets), samples, clients)
+
+    def _clients_of(self, kind: str) -> list[_Client]:
+        return [client for _, clients in self._ports_of[kind] for client in clients]
+
+    def last_quiet_cycle(self, client: _Client) -> int:
+        """Return the last cycle whose packets can be sent to a client now; see `BatchClient.last_quiet_cycle`."""
+        if client.segmenter is not None or self._link.is_any_stalled:
+            return self._state.cycle
+        quiet = min(client.connection.quiet_time, LONGEST_BATCH)
+        if quiet <= 0.0:
+            return self._state.cycle
+        return self._first + int((self._clock() + quiet - self._epoch) * self._rate)
+
+    def send_batch(self, client: _Client, packets: Sequence[Deferred | SteadyBytes], cycles: Sequence[int]) -> None:
+        """Send the packets of several cycles to a client before these cycles are due."""
+        now = self._clock()
+        due = [self._epoch + (cycle - self._first) / self._rate for cycle in cycles]
+        client.connection.write_batch(packets, [max(each - now, 0.0) for each in due])
+        self.counters.sent += len(packets)
 
     def _due(self) -> float | None:
         """Return the time of the next cycle that must run on time; None if `step` advances the cycles."""
@@ -329,6 +382,7 @@ class Server:
 
     def catch_up(self) -> None:
         """Advance the controller to the current time, and send the packets of its cycles."""
+        self._others_due = 0
         rate, state, counters = self._rate, self._state, self.counters
         behind = int((self._clock() - self._epoch) * rate) - (state.cycle - self._first)
         if self._is_held and behind >= 0:
@@ -362,6 +416,7 @@ class Server:
         On a computer that is too slow for the controller, each client would otherwise have to wait while the thread
         catches up for other clients.
         """
+        self._others_due = 0
         if not self._is_behind:
             self.catch_up()
 
@@ -389,7 +444,7 @@ class Server:
         self._settle()
         if not self._state.is_up:
             return
-        for kind, interface in self._emitting:
+        for kind, interface in self._passing_on if self._passes_on else self._emitting:
             if kind in self._watched:
                 for packet in interface.packets(cycle):
                     self._broadcast(kind, packet)
@@ -397,7 +452,7 @@ class Server:
                 interface.skip()
 
     def _broadcast(self, kind: str, packet: bytes | Deferred) -> None:
-        for name, clients in self._clients_of[kind]:
+        for name, clients in self._ports_of[kind]:
             if clients and not self._link.is_stalled(name):
                 data = self._link.on_the_wire(name, packet)
                 for client in clients:
@@ -422,6 +477,13 @@ class Server:
                 self._write(client, segment)
 
     def _write(self, client: _Client, data: bytes | Deferred) -> None:
+        if (
+            self._passes_on
+            and isinstance(data, (Deferred, SteadyBytes))
+            and data.is_steady
+            and client.connection.write_steady(data)
+        ):
+            return
         port = client.connection.port
         overflowed = port.overflowed
         client.connection.write(data)
@@ -446,6 +508,7 @@ class Server:
 
     def forget(self, client: _Client) -> None:
         """Remove a client whose connection has ended."""
+        self._others_due = 0
         self._clients[client.name].remove(client)
         kind = interface_of(client.name)
         if not self._clients.get(kind) and not self._clients.get(f"{kind}_readonly"):
@@ -458,7 +521,8 @@ class Server:
         if self._is_closing:
             return
         self._open_or_refuse()
-        self._reset(self._link.take_cuts())
+        if cuts := self._link.take_cuts():
+            self._reset(cuts)
         if self._link.segments_changed != self._segments_seen:
             self._segments_seen = self._link.segments_changed
             self._segment_anew()
@@ -490,7 +554,7 @@ class Server:
             if held:
                 self._write(client, held)
 
-    def _reset(self, ports: set[str]) -> None:
+    def _reset(self, ports: Set[str]) -> None:
         for name in ports & self._clients.keys():
             for client in self._clients[name]:
                 client.connection.close(reset=True)

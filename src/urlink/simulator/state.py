@@ -83,6 +83,9 @@ class StopCause(NamedTuple):
     code: tuple[int, int] | None = None
 
 
+_NO_CAUSE = StopCause()
+
+
 class StateOutbox:
     """Queue of robot messages for the clients of the primary interface.
 
@@ -227,7 +230,7 @@ class ControllerState:
         self.stopped_since: float | None = None
         self.popup: str | None = None
         self.loaded: str | None = None
-        self._stop_cause = StopCause()
+        self._stop_cause = _NO_CAUSE
         self._announced = self.modes.safety_mode
         self.update_modes(0.0)
 
@@ -285,7 +288,8 @@ class ControllerState:
 
     def move_slider(self, seconds: float) -> None:
         """Move `slider` towards `speed_fraction`, at the limited rate of the slider, for this number of seconds."""
-        self.slider = approached(self.slider, self.speed_fraction, self.scaling_parameters.slider_rate * seconds)
+        if self.slider != self.speed_fraction:
+            self.slider = approached(self.slider, self.speed_fraction, self.scaling_parameters.slider_rate * seconds)
 
     @property
     def speed_scaling(self) -> float:
@@ -325,15 +329,20 @@ class ControllerState:
         self._stop_cause = StopCause(reason, by_program, code)
         self.modes.protective_stop()
 
+    @property
+    def has_safety_change(self) -> bool:
+        """Whether the safety mode has changed since the last call of `take_safety_change`."""
+        return self.modes.safety_mode is not self._announced
+
     def take_safety_change(self) -> StopCause | None:
         """Return the cause of a change of the safety mode since the last call; None if unchanged."""
-        cause, self._stop_cause = self._stop_cause, StopCause()
+        cause, self._stop_cause = self._stop_cause, _NO_CAUSE
         modes = self.modes
-        if modes.safety_mode is self._announced:
+        if not self.has_safety_change:
             return None
         self._announced = modes.safety_mode
         self.stopped_since = None if modes.stop is StopState.NONE else self.time
-        return cause if modes.stop is StopState.PROTECTIVE else StopCause()
+        return cause if modes.stop is StopState.PROTECTIVE else _NO_CAUSE
 
 
 def firmware_for(model: Model, firmware: str | Firmware) -> Firmware:

@@ -13,7 +13,7 @@ import gzip
 import importlib
 import inspect
 import pkgutil
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from pathlib import Path
 from types import ModuleType
@@ -59,18 +59,24 @@ class Cell:
     """Robots, host and files that are needed to create the objects whose methods are called.
 
     Attributes:
-        robot: An asyncio robot.
-        other: An asyncio robot with another controller, for groups.
+        robots: Asyncio robots, each with its own controller: two for a group, otherwise one.
         host: Address of a host of rhdlink.
         files: Folder for files.
     """
 
-    def __init__(self, robot: urlink.AsyncRobot, other: urlink.AsyncRobot, host: str, files: Path) -> None:
-        self.robot = robot
-        self.other = other
+    def __init__(self, robots: Sequence[urlink.AsyncRobot], host: str, files: Path) -> None:
+        self.robots = robots
         self.host = host
         self.files = files
         self._numbers = iter(range(1_000_000))
+
+    @property
+    def robot(self) -> urlink.AsyncRobot:
+        return self.robots[0]
+
+    @property
+    def other(self) -> urlink.AsyncRobot:
+        return self.robots[1]
 
     def new_file(self, suffix: str) -> Path:
         return self.files / f"{next(self._numbers)}{suffix}"
@@ -322,7 +328,7 @@ SAMPLES: Mapping[str, Sample] = {
     "AsyncMotions.speed_linear": lambda motion: motion.speed_linear([0, 0, 0.01, 0, 0, 0], duration=5.0, wait=True),
     "AsyncMotions.stream": lambda motion: motion.stream(),
     "AsyncMotions.torque": lambda motion: motion.torque(),
-    "AsyncMotions.until_contact": lambda motion: motion.until_contact([0, 0, 1], 0.02, distance=0.1, wait=True),
+    "AsyncMotions.until_contact": lambda motion: motion.until_contact([0, 0, 1], 0.01, distance=0.05, wait=True),
     "AsyncIO.set_analog_out": lambda io: io.set_analog_out(0, 0.1),
     "AsyncIO.set_tool_voltage": lambda io: io.set_tool_voltage(0),
     **{

@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
-from collections.abc import AsyncIterator, Callable, Iterable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -20,7 +20,7 @@ from rhdlink import Host
 from rhdlink.host.plugins.turtle import Turtle
 from rhdlink.host.world import World
 from tests.cancelling import Turns
-from tests.matrix import trials
+from tests.matrix import IS_WHOLE, trials
 from tests.urlink.aio.every_awaitable import CHANGES, OPEN, PROGRAM, READY, Cell, awaitables, is_busy, lacking, use_of
 from urlink.simulator import Controller, Still
 
@@ -29,30 +29,32 @@ pytestmark = pytest.mark.simulated_time
 #: Time limits in s: until a thread is free, until the arm is at rest, and until no program is left. A program without
 #: start permission waits for its permission for five seconds.
 FREE, AT_REST, LEFT = 0.2, 3.0, 6.0
-#: Turns that are tried one by one, and the last turn; the distance between later turns grows.
+#: Turns that are tried one by one, and the last turn.
 EACH, MOST = 60, 2000
 #: Distance between the turns that are tried one by one; each call starts with another turn.
-STRIDE = trials(4, 1)
+STRIDE = trials(7, 1)
+#: Ratio of two consecutive later turns.
+GROWTH = 1.3 if IS_WHOLE else 1.8
 #: Blocks in which a person may move the arm.
 BY_HAND = ("AsyncRobot.freedrive", "AsyncRobot.teach", "AsyncTeaching")
 
 
 class Bench:
-    """Two arms and a mobile robot."""
+    """Arms and a mobile robot. A group has two arms; any other object has one, which takes half the processor time."""
 
     def __init__(self, host: str, files: Path) -> None:
         self.host = host
         self.files = files
-        self.controllers = [self._controller() for _ in range(2)]
+        self.controllers: list[Controller] = []
 
     def _controller(self) -> Controller:
         program = f"def pick():\n  movej({[1.2, *READY[1:]]}, a=1, v=0.1)\nend\n"
         return Controller("UR5e", "5.25", motion=Still(READY), files={PROGRAM: program}).start()
 
-    def renew(self) -> None:
-        """Replace the controllers by new ones with everything switched on."""
+    def renew(self, name: str) -> None:
+        """Replace the controllers by new ones with everything switched on, as many as the class of `name` needs."""
         self.close()
-        self.controllers = [self._controller() for _ in range(2)]
+        self.controllers = [self._controller() for _ in range(2 if name.startswith("AsyncGroup") else 1)]
 
     def close(self) -> None:
         for each in self.controllers:
@@ -61,13 +63,14 @@ class Bench:
     @contextlib.asynccontextmanager
     async def cell(self) -> AsyncIterator[Cell]:
         points = self.files / "cell.json"
-        first, second = (
-            urlink.connect_async(each.address, stale_after=10.0, points=points) for each in self.controllers
-        )
-        async with first as robot, second as other:
-            await robot.realtime.wait()
-            await other.realtime.wait()
-            yield Cell(robot, other, self.host, self.files)
+        async with contextlib.AsyncExitStack() as stack:
+            robots = [
+                await stack.enter_async_context(urlink.connect_async(each.address, stale_after=10.0, points=points))
+                for each in self.controllers
+            ]
+            for robot in robots:
+                await robot.realtime.wait()
+            yield Cell(robots, self.host, self.files)
 
     @property
     def moves(self) -> bool:
@@ -102,7 +105,7 @@ async def _cancelled(turns: Turns, number: int, name: str, bench: Bench, cell: C
             error = task.exception()
             assert error is None or isinstance(error, LinkError), f"{at}: {error!r}"
         else:
-            workers = [cell.robot._workers, cell.other._workers]
+            workers = [robot._workers for robot in cell.robots]
             await _until(lambda: not any(map(is_busy, workers)), FREE, f"{at}: a thread is still busy")
             if not name.startswith(BY_HAND):
                 await _until(lambda: not bench.moves, AT_REST, f"{at}: the arm moves")
@@ -113,13 +116,13 @@ async def _cancelled(turns: Turns, number: int, name: str, bench: Bench, cell: C
         assert not bench.moves, f"{at}: the arm moves again"
         assert not bench.runs, f"{at}: a program has started"
     elif name not in CHANGES:
-        for robot in (cell.robot, cell.other):
+        for robot in cell.robots:
             await robot.motion.stop(wait=True)
     return task.cancelled()
 
 
-def _try(names: Iterable[str], numbers: Callable[[str], Iterable[int]], bench: Bench) -> None:
-    """Test each name at these turns, up to the first turn that comes after the end of the call."""
+def _try(names: Sequence[str], numbers: Callable[[str], Iterable[int]], bench: Bench) -> None:
+    """Test each name of a class at these turns, up to the first turn that comes after the end of the call."""
 
     async def tried(name: str, left: Iterator[int], turns: Turns) -> bool:
         """Whether another turn has to be tested with another robot."""
@@ -131,12 +134,13 @@ def _try(names: Iterable[str], numbers: Callable[[str], Iterable[int]], bench: B
                     return True
         return False
 
+    bench.renew(names[0])
     for name in names:
         turns, left = Turns(), iter(numbers(name))
         while turns.run(tried(name, left, turns)):
-            bench.renew()
+            bench.renew(name)
         if name in CHANGES:
-            bench.renew()
+            bench.renew(name)
 
 
 def _by_class() -> dict[str, list[str]]:
@@ -157,6 +161,6 @@ def test_cancel_in_one_loop_iteration_leaves_nothing_behind(kind: str, bench: Be
 @pytest.mark.matrix
 @pytest.mark.parametrize("name", awaitables())
 def test_cancel_in_any_loop_iteration_leaves_nothing_behind(name: str, bench: Bench) -> None:
-    later = itertools.takewhile(lambda turn: turn < MOST, (int(EACH * 1.3**n) for n in itertools.count()))
+    later = itertools.takewhile(lambda turn: turn < MOST, (int(EACH * GROWTH**n) for n in itertools.count()))
     first = 1 + list(awaitables()).index(name) % STRIDE
     _try([name], lambda name: itertools.chain(range(first, EACH, STRIDE), later), bench)

@@ -57,6 +57,12 @@ class Drawn(NamedTuple):
         """Whether the cause that was drawn is the first one that was found."""
         return self.found is not None and self.found.cause.name == self.cause
 
+    def without_codes(self) -> Drawn:
+        """Return the same stop with the diagnosis of a record without messages of the primary interface."""
+        record = StopRecord(self.record.time, self.record.columns, model=self.record.model)
+        found = explain(record)
+        return Drawn(self.cause, self.firmware, found[0] if found else None, record)
+
 
 class Scene:
     """One simulated controller, stepped cycle by cycle, with the bytes that it has sent."""

@@ -296,7 +296,7 @@ def test_impedance_is_as_slow_as_the_session() -> None:
         fastest = Fastest(robot)
         with robot.motion.impedance(speed=2.0) as soft:
             # The base would move the tool at more than 0.25 m/s.
-            for q in (at(0, 0, 0, 0, 0, 0.6), at(0.3, 0, 0, 0, 0, 0.6), READY):
+            for q in (at(0, 0, 0, 0, 0, 0.3), at(0.3, 0, 0, 0, 0, 0.3), READY):
                 soft.send(q)
                 robot.realtime.wait_until(partial(is_near, q), TIMEOUT)
             with pytest.raises(LimitExceeded, match="box"):

@@ -16,7 +16,9 @@ import urlink
 from linkcore.clock import Stamp
 from linkcore.simulated import Simulation
 from urlink.protocol.enums import SafetyMode
+from urlink.protocol.primary.robot_state import JointData, RobotModeData
 from urlink.protocol.realtime.packets import RealtimeState
+from urlink.rtde.claims import HOLD
 from urlink.simulator import Controller, server
 
 NAMES = list(RealtimeState.FIELDS)
@@ -89,7 +91,7 @@ def states_of(run: Callable[[urlink.Robot, Simulation], object], seed: int, firm
 def test_running_ahead_sends_the_same_states(firmware: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same cycles must give the same bytes, whether the controller executes them early or when they are due."""
     ahead = states_of(program, 1, firmware)
-    monkeypatch.setattr(server, "MOST_AHEAD", 0)
+    monkeypatch.setattr(server, "LONGEST_BATCH", 0.0)
     on_time = states_of(program, 1, firmware)
     # A command might arrive a cycle earlier or later, because more random numbers are drawn. So compare the cycles
     # before the first command.
@@ -211,24 +213,33 @@ end
 def test_cycles_executed_at_once_send_the_same_bytes(
     lengths: list[int], a: float, v: float, r: float, slider: float, firmware: str
 ) -> None:
-    """Cycles that are executed at once, as arrays, must give the same packets and messages as single cycles."""
+    """Cycles that are executed at once, as arrays, must give the same packets and messages as single, full cycles."""
     step_by_step, at_once = (Controller(firmware=firmware, seed=len(lengths)) for _ in range(2))
+    step_by_step._control._glides = lambda: False  # type: ignore[method-assign]
     for controller in (step_by_step, at_once):
         controller.speed_fraction = slider
         controller.take(SCRIPT.format(a=a, v=v, r=r))
+    states: dict[int, bytes] = {}
     packets, count = [], 0
     for length in lengths * 4:
         at_once.step()
         packets.append(at_once.realtime_packet())
+        begun = at_once.cycle
+        at_once._states.of_cycle(begun)
         samples = at_once._control.advance_many(length)
         if samples is not None:
             packets += map(bytes, at_once._realtime.later_packets(samples)[1:])
+            later = at_once._states.later(begun, samples, at_once.cycle)
+            states.update({cycle: bytes(state) for cycle, state in later.items()})
             count += len(samples) - 1
-    expected = []
+    expected, expected_states = [], {}
     for _ in packets:
         step_by_step.step()
         expected.append(step_by_step.realtime_packet())
+        if step_by_step.cycle in states:
+            expected_states[step_by_step.cycle] = step_by_step.state_package()
     assert hashes(packets) == hashes(expected)
+    assert states == expected_states
     assert at_once.take_messages() == step_by_step.take_messages()
     assert at_once.time == step_by_step.time
     event(f"{count // 100} hundred cycles at once")
@@ -311,3 +322,107 @@ def test_state_stays_fresh_while_only_its_time_changes() -> None:
         with monitor.decision() as interlock:
             assert interlock.refusal_to_begin(monitor.clock()) is None
         robot.motion.move_joints(AWAY).wait()
+
+
+@pytest.mark.parametrize("firmware", FIRMWARE)
+def test_robot_state_has_the_values_of_its_cycle_when_it_is_read_later(firmware: str) -> None:
+    controller = Controller(firmware=firmware)
+    controller.take("movej([0.1, -1.5, 1.5, -1.6, -1.6, 0.2], a=5, v=3)\n")
+    controller.step(50)
+    expected = controller.state_package()
+    state = controller._states.of_cycle(controller.cycle)
+    controller.signals.set_digital_output(1, True)
+    controller.arm.tcp = [0.0, 0.0, 0.2, 0.0, 0.0, 0.0]
+    controller.faults.protective_stop()
+    controller.step(50)
+    assert bytes(state) == expected
+    assert (len(state), state.head) == (len(expected), expected[: len(state.head)])
+
+
+def test_robot_state_is_steady_only_after_one_with_the_same_modes_and_signals() -> None:
+    controller = Controller(firmware="5.11")
+    states = controller._states
+
+    def is_next_steady() -> bool:
+        controller.step()
+        return states.of_cycle(controller.cycle).is_steady
+
+    assert not is_next_steady()
+    assert is_next_steady()
+    controller.signals.set_digital_output(1, True)
+    assert not states.is_steady
+    assert not is_next_steady()
+    assert is_next_steady()
+    # A new client has got a state that the others have not.
+    controller.signals.set_digital_output(1, False)
+    states.greeting()
+    controller.signals.set_digital_output(1, True)
+    assert not is_next_steady()
+    assert is_next_steady()
+    # The clients of the secondary interface have not got this state.
+    controller.step()
+    states.extra(controller.cycle)
+    assert not is_next_steady()
+
+
+@pytest.mark.simulated_time
+@pytest.mark.parametrize("firmware", ["3.15", "5.11"])
+def test_newest_robot_state_is_current_while_nobody_reads_states(firmware: str) -> None:
+    with urlink.connect(f"sim://?firmware={firmware}") as robot:
+        robot.motion.move_joints(AWAY, speed=0.5)
+        for _ in range(20):
+            time.sleep(0.137)
+            state, mode, joints = (
+                robot.primary.latest,
+                robot.primary.of(RobotModeData).latest,
+                robot.primary.of(JointData).latest,
+            )
+            assert state is not None
+            assert (mode, joints) == (state.robot_mode_data, state.joint_data)
+            assert state.received is not None
+            assert state.received.age < 0.11
+            assert mode is not None
+            assert robot.controller.time - 1e-6 * mode.timestamp < 0.11
+            assert joints is not None
+            assert np.abs(joints.q_actual - robot.controller.arm.sample.q_actual).max() < 0.1
+        stats = robot.primary.stats
+        assert (stats.missed, stats.failed, stats.duplicates) == (0, 0, 0)
+        assert 27 <= stats.received <= 40
+
+
+@pytest.mark.simulated_time
+@pytest.mark.parametrize("firmware", ["3.15", "5.11"])
+def test_outputs_are_released_in_time_while_the_controller_runs_ahead(firmware: str) -> None:
+    with urlink.connect(f"sim://?firmware={firmware}") as robot:
+        robot.motion.move_joints(HOME).wait()
+        robot.io.set_digital_out(0, True)
+        sessions = robot.controller.rtde.sessions
+        time.sleep(HOLD - 0.1)
+        assert len(sessions) == 1
+        time.sleep(0.15)
+        assert not sessions
+
+
+@pytest.mark.simulated_time
+def test_change_during_a_glide_is_sent_in_the_next_cycle() -> None:
+    """A test may change the controller between two cycles, without a call in the controller's thread."""
+    with urlink.connect("sim://?firmware=5.11") as robot:
+        robot.realtime.wait(1.0)
+        controller, seen = robot.controller, []
+
+        def look(state: RealtimeState) -> None:
+            seen.append((state.digital_output_bits, state.safety_mode))
+            if len(seen) == 100:
+                controller.signals.set_digital_output(3, True)
+            if len(seen) == 200:
+                controller.modes.protective_stop()
+
+        with robot.realtime.subscribe(look):
+            handle = robot.motion.move_joints(AWAY, speed=0.4)
+            time.sleep(0.6)
+        assert seen[99][0] == 0
+        assert seen[100][0] == 8
+        assert seen[199][1] == SafetyMode.NORMAL
+        assert seen[200][1] == SafetyMode.PROTECTIVE_STOP
+        with pytest.raises(urlink.SafetyStop):
+            handle.wait(1.0)

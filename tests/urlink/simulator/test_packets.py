@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -31,7 +33,7 @@ from urlink.protocol.primary.robot_state import (
 from urlink.protocol.realtime.packets import RealtimeState
 from urlink.simulator import Controller, Demonstration, messages
 from urlink.simulator.interfaces.interface import Form
-from urlink.simulator.interfaces.primary import _CHANGING, _UNCHANGING
+from urlink.simulator.interfaces.primary import _MEASURED, _SHOWN, _UNCHANGING
 from urlink.simulator.interfaces.realtime import FIELDS
 from urlink.simulator.state import StopCause
 from urlink.simulator.urscript import ProgramError
@@ -101,6 +103,17 @@ def test_packets_have_the_sizes_of_their_firmware(release: Release, name: str) -
     assert release_of(found).state_size == release.state_size
 
 
+def fields_of(controller: Controller, kind: int) -> dict[str, Any]:
+    """Return the fields of one sub-package of the robot state of this cycle."""
+    fields: dict[str, Any] = {}
+    for table in (_SHOWN, _UNCHANGING):
+        if kind in table:
+            fields |= table[kind](controller._state)
+    if kind in _MEASURED:
+        fields |= _MEASURED[kind](controller._states._measured())
+    return fields
+
+
 @pytest.mark.parametrize(("release", "name"), COMBINATIONS)
 def test_packet_forms_encode_the_same_bytes_as_layouts(release: Release, name: str) -> None:
     controller = Controller(name, release.since, motion=Demonstration())
@@ -111,7 +124,7 @@ def test_packet_forms_encode_the_same_bytes_as_layouts(release: Release, name: s
     packet = controller._realtime.packet()
     assert bytes(packet) == controller.realtime_packet() == layout.encode({name: packet.field(name) for name in FIELDS})
     for kind, part in parts(controller.state_package(first=True)).items():
-        fields = (_CHANGING | _UNCHANGING)[kind](controller._state)
+        fields = fields_of(controller, kind)
         cls: type[State] = type(decoded(part, release.since))
         known = {key: value for key, value in fields.items() if key in cls.FIELDS}
         assert part == cls.LAYOUTS.of(release.since).encode(known), cls.__name__
@@ -267,10 +280,10 @@ def test_controller_with_wrong_arguments_raises_local_error() -> None:
 @pytest.mark.parametrize(("release", "name"), COMBINATIONS)
 def test_every_packet_has_a_value_for_each_field(release: Release, name: str) -> None:
     """The check ensures that no field is zero only because the simulator forgot it."""
-    state = Controller(name, release.since)._state
+    controller = Controller(name, release.since)
     RealtimeState.LAYOUTS.of(release.since).check_complete(FIELDS.keys())
-    for part in parts(Controller(name, release.since).state_package(first=True)).values():
-        fields = (_CHANGING | _UNCHANGING)[part[4]](state)
+    for part in parts(controller.state_package(first=True)).values():
+        fields = fields_of(controller, part[4])
         type(decoded(part, release.since))(release.since)._layout.check_complete(fields)
 
 

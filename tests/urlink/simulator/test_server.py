@@ -349,11 +349,11 @@ def test_calls_run_in_the_thread_of_the_controller() -> None:
 def test_packets_are_computed_only_for_connected_clients(monkeypatch: pytest.MonkeyPatch, connect: Connect) -> None:
     with Controller("UR5e", "5.11") as controller:
         looks: list[str] = []
-        ports: list[tuple[object, str]] = [(controller._realtime, "packet"), (controller._states, "package")]
+        ports: list[tuple[object, str]] = [(controller._realtime, "packet"), (controller._states, "of_cycle")]
         for port, name in ports:
             made = getattr(port, name)
 
-            def look(*args: bool, name: str = name, made: Callable[..., bytes] = made, **options: bool) -> bytes:
+            def look(*args: bool, name: str = name, made: Callable[..., object] = made, **options: bool) -> object:
                 looks.append(name)
                 return made(*args, **options)
 
@@ -361,7 +361,7 @@ def test_packets_are_computed_only_for_connected_clients(monkeypatch: pytest.Mon
         link = connect(controller, "secondary")
         for _ in range(6):
             link.packet()
-        assert set(looks) == {"package"}
+        assert set(looks) == {"of_cycle"}
 
 
 @pytest.mark.real_time

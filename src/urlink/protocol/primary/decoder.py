@@ -79,6 +79,11 @@ class PackageDecoder:
         self._version = version
         self._plans = {}  # the plans were made for another version
 
+    def explains(self, size: int) -> bool:
+        """Whether a robot state of this size was decoded, in which every byte has a known meaning."""
+        plan = self._plans.get(size)
+        return plan is not None and not (plan.unknown or plan.tails or plan.ambiguous)
+
     def decode(self, frame: bytes, stamp: Stamp | None = None) -> State:
         """Return the typed state of one whole package.
 

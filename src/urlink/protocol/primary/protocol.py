@@ -15,8 +15,10 @@ from __future__ import annotations
 import logging
 import re
 import struct
+from collections.abc import Callable
 
 from linkcore.clock import Stamp
+from linkcore.deferred import Deferred
 from linkcore.wire.cycles import MissedCycles
 from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State
@@ -214,6 +216,36 @@ class PrimaryProtocol:
             self.firmware = Firmware(state.major, state.minor, state.bugfix or 0, state.build or 0)
             self._decoder.use(self.firmware)
         return state
+
+    def take_steady(self, package: Deferred, stamp: Stamp) -> DeferredRobotState | None:
+        """Return the state in a package whose bytes are not made yet; None if its bytes must be decoded now.
+
+        They must be decoded until a package of this size was decoded, and while the frame boundary is lost.
+        """
+        if not (self.framer.is_between_packets and self._decoder.explains(len(package))):
+            return None
+        return DeferredRobotState(package, stamp, self._decoder.decode)
+
+
+class DeferredRobotState:
+    """Robot state of a simulated controller, whose bytes are made and decoded if somebody asks for it.
+
+    Args:
+        package: Package of the state.
+        stamp: Arrival of the package.
+        decode: Decoder of the bytes.
+
+    Attributes:
+        received: Arrival of the package.
+    """
+
+    def __init__(self, package: Deferred, stamp: Stamp, decode: Callable[[bytes, Stamp], State]) -> None:
+        self.received = stamp
+        self._package, self._decode = package, decode
+
+    def read(self) -> State:
+        """Return the state."""
+        return self._decode(bytes(self._package), self.received)
 
 
 def _moment(frame: bytes) -> float | None:

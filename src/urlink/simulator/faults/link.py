@@ -7,7 +7,7 @@ newer controller, from a broken controller, or through a bad network. The contro
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence, Set
 from itertools import cycle
 from typing import TypeVar
 
@@ -94,6 +94,9 @@ class Segmenter:
         return held
 
 
+_NO_PORTS: frozenset[str] = frozenset()
+
+
 class LinkFaults:
     """Faults of all ports of one controller. Use this object only in the thread that owns the controller.
 
@@ -170,10 +173,12 @@ class LinkFaults:
     @property
     def is_any_stalled(self) -> bool:
         """Whether any port is currently silent."""
-        return self._cycle() < max(self._stalled_until.values(), default=0)
+        return bool(self._stalled_until) and self._cycle() < max(self._stalled_until.values())
 
-    def take_cuts(self) -> set[str]:
+    def take_cuts(self) -> Set[str]:
         """Return and clear the ports whose connections must be reset now."""
+        if not self._cuts:
+            return _NO_PORTS
         cuts, self._cuts = self._cuts, set()
         return cuts
 

@@ -111,7 +111,7 @@ class FaultSchedule:
 
     def advance(self, cycle: int, rate: float) -> None:
         """Cause the faults that are due in this cycle."""
-        while (due := self.next_cycle(rate)) is not None and due <= cycle:
+        while self._faults and math.ceil(self._faults[0].at * rate) <= cycle:
             fault = self._faults.pop(0)
             try:
                 fault.happen(self._do)

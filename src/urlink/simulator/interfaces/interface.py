@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby
 from typing import Any, Generic, Protocol, TypeVar
 
-from linkcore.deferred import Deferred
+from linkcore.deferred import Deferred, SteadyBytes
 from linkcore.wire.layout import Layout
 from urlink.protocol.headers import PACKAGE
 
@@ -109,6 +109,23 @@ class InterfaceClient(Protocol):
         """Close the connection now, with a reset."""
 
 
+class BatchClient(Protocol):
+    """Connection of one client, with what an interface needs to send packets before they are due."""
+
+    receiver: InterfaceReceiver
+
+    @property
+    def last_quiet_cycle(self) -> int:
+        """Last cycle whose packets can be sent now by `send_batch`, before they are due.
+
+        It is later than the current cycle only in simulated time, while nothing else happens, and while the client
+        needs no packet at its time.
+        """
+
+    def send_batch(self, packets: Sequence[Deferred | SteadyBytes], cycles: Sequence[int]) -> None:
+        """Send the steady packets of these cycles, at most until `last_quiet_cycle`; see `DeferredBatch`."""
+
+
 class InterfaceReceiver(ABC):
     """Receiver of the bytes that one client sends."""
 
@@ -159,6 +176,31 @@ class Interface(ABC):
             samples: Sensors of each cycle; see `ControlLoop.advance_many`.
         """
         raise NotImplementedError
+
+    def last_ahead(self, cycle: int, last: int, clients: Sequence[BatchClient]) -> int:
+        """Return the last cycle until which no packet of this interface has to be sent on time.
+
+        Args:
+            cycle: Current cycle.
+            last: Upper limit of the result.
+            clients: Clients of this interface.
+        """
+        wanted = self.next_cycle(cycle)
+        return last if wanted is None else min(last, wanted - 1)
+
+    def last_steady(self, cycle: int, last: int, clients: Sequence[BatchClient]) -> int:
+        """Return the same as `last_ahead`, for cycles in which only the time and the targets change."""
+        return self.last_ahead(cycle, last, clients)
+
+    def send_ahead(self, cycle: int, samples: Samples | None, clients: Sequence[BatchClient]) -> None:
+        """Send all packets until this cycle before they are due.
+
+        Args:
+            cycle: Last cycle, which `last_ahead` or `last_steady` has permitted.
+            samples: Sensors of the last cycles, if only the time and the targets have changed in them; else None.
+            clients: Clients of this interface.
+        """
+        return None
 
     def skip(self) -> None:
         """Discard the packets of this cycle, because no client is connected."""

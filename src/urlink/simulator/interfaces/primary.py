@@ -2,29 +2,86 @@
 
 The primary interface also sends messages. For the sizes and the order of the sub-packages, see
 docs/protocols/primary.md, Robot state. Comments mark values that were taken from captures.
+
+A robot state remembers what it shows, and makes its bytes when they are read; see `linkcore.deferred`.
 """
 
 from __future__ import annotations
 
 import math
+import struct
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
+from linkcore.deferred import Deferred
 from linkcore.wire.state_layouts import StateLayout
 from urlink.arm.kinematics import DhTable
 from urlink.protocol.enums import SafetyMode
 from urlink.protocol.firmware import Firmware, release_of
+from urlink.protocol.headers import PACKAGE
 from urlink.protocol.primary.robot_state import SUB_PACKAGES, CalibrationData
 
 from ..messages import greeting
-from ..rtde_variables import ROBOT_VOLTAGE, robot_current
+from ..robot.sensors import Sample, Samples
+from ..rtde_variables import ROBOT_VOLTAGE, current_of
 from ..state import ControllerState
-from .interface import Fields, Form, Interface, InterfaceClient, ScriptReceiver, package
+from .interface import BatchClient, Fields, Form, Interface, InterfaceClient, ScriptReceiver, package
 
 #: Robot states per second.
 STATE_RATE = 10
+#: First bytes of each state: its header, the header of its first sub-package, and its time.
+_HEAD = struct.Struct(">iBiBQ")
+
+
+class Measured(NamedTuple):
+    """What a robot state shows in addition to modes, signals and settings. Nothing in it changes later.
+
+    Attributes:
+        sample: Values of the sensors.
+        time: Time since the controller came up, in s.
+        state: State of the controller, for properties that never change while the controller is up.
+        is_powered: Whether the arm has power.
+    """
+
+    sample: Sample
+    time: float
+    state: ControllerState
+    is_powered: bool
+
+    @property
+    def timestamp(self) -> int:
+        """Time in the unit of the robot state."""
+        # The time stamps in CB2 captures are too small to be microseconds, so milliseconds are assumed.
+        return round(self.time * (1e3 if self.state.firmware.is_cb2 else 1e6))
+
+
+class StatePackage(Deferred):
+    """Robot state of one cycle. Its bytes are made when they are read.
+
+    Args:
+        head: First bytes of the package.
+        size: Number of bytes.
+        make: Function that makes all bytes.
+        is_steady: Whether modes, signals and settings are those of the previous state.
+    """
+
+    __slots__ = ("_bytes", "_make", "_size")
+
+    def __init__(self, head: bytes, size: int, make: Callable[[], bytes], is_steady: bool) -> None:
+        super().__init__(head, is_steady)
+        self._size, self._make = size, make
+        self._bytes: bytes | None = None
+
+    def __len__(self) -> int:
+        return self._size
+
+    def __bytes__(self) -> bytes:
+        if self._bytes is None:
+            self._bytes = self._make()
+        return self._bytes
 
 
 class StatePackages:
@@ -40,49 +97,115 @@ class StatePackages:
         self._first_only: frozenset[int] = frozenset()
         self._forms: dict[int, Form[StateLayout]] = {}
         self._unchanging: dict[int, bytes] = {}
+        self._size = self._first_size = 0
         # Latest cycle with a packet, and the packet that both interfaces send in this cycle.
-        self._made: tuple[int, bytes] = (-1, b"")
+        self._made: tuple[int, StatePackage | None] = (-1, None)
+        # Fields with modes, signals and settings in the latest packet, by sub-package. Empty if some client has got a
+        # different packet as its latest one.
+        self._shown: Mapping[int, Fields] = {}
         # Safety mode in the latest packet.
-        self._shown: SafetyMode | None = None
+        self._safety: SafetyMode | None = None
 
     def next_cycle(self, cycle: int) -> int:
         """Return the first cycle after this one in which a state is sent."""
         rate = self._state.rate
         return -(-(cycle * STATE_RATE // rate + 1) * rate // STATE_RATE)
 
-    def of_cycle(self, cycle: int) -> bytes:
+    def of_cycle(self, cycle: int) -> StatePackage:
         """Return the robot state of this cycle; both interfaces get the same bytes."""
-        if self._made[0] != cycle:
-            self._made = cycle, self.package()
-            self._shown = self._state.modes.safety_mode
-        return self._made[1]
+        made_in, made = self._made
+        if made is None or made_in != cycle:
+            self._lay_out()
+            shown, before = self._look(), self._shown
+            self._shown, self._safety = shown, self._state.modes.safety_mode
+            made = self._package(shown, self._measured(), is_steady=shown == before)
+            self._made = cycle, made
+        return made
+
+    def greeting(self) -> StatePackage:
+        """Return the robot state for a new connection, which includes kinematics and configuration."""
+        self._lay_out()
+        shown = self._look()
+        if shown != self._shown:
+            self._shown = {}
+        return self._package(shown, self._measured(), is_steady=False, is_first=True)
+
+    def extra(self, cycle: int) -> StatePackage:
+        """Return the robot state of this cycle for only one of the interfaces."""
+        made = self.of_cycle(cycle)
+        self._shown = {}
+        return made
 
     @property
     def is_outdated(self) -> bool:
         """Whether the safety mode has changed since the latest packet."""
-        return self._shown is not self._state.modes.safety_mode
+        return self._safety is not self._state.modes.safety_mode
 
-    def package(self, first: bool = False) -> bytes:
-        """Return the robot state of this cycle.
+    @property
+    def is_steady(self) -> bool:
+        """Whether a robot state would now show the same modes, signals and settings as the latest one."""
+        return self._firmware is self._state.firmware and self._look() == self._shown
+
+    def package(self, is_first: bool = False) -> bytes:
+        """Return the robot state of this cycle without sending it.
 
         Args:
-            first: Whether to return the state for a new connection, which includes kinematics and configuration.
+            is_first: Whether to return the state for a new connection, which includes kinematics and configuration.
         """
-        state = self._state
-        if self._firmware is not state.firmware:  # initially, and after a reboot into another firmware
-            self._lay_out(state.firmware)
-        parts = []
-        for kind, form in self._forms.items():
-            if first or kind not in self._first_only:
-                fixed = self._unchanging.get(kind)
-                parts.append(form.pack(_CHANGING[kind](state)) if fixed is None else fixed)
-        return package(16, b"".join(parts))
+        self._lay_out()
+        return bytes(self._package(self._look(), self._measured(), is_steady=False, is_first=is_first))
 
-    def _lay_out(self, firmware: Firmware) -> None:
+    def later(self, cycle: int, samples: Samples, last: int) -> dict[int, StatePackage]:
+        """Return cycle -> robot state, for cycles in which only the time and the targets change.
+
+        Args:
+            cycle: Number of the first cycle.
+            samples: Sensors of each cycle.
+            last: Number of the last cycle, which is the current one.
+        """
+        state, packages = self._state, {}
+        due = self.next_cycle(cycle - 1)
+        while due <= last:
+            time = (state.uptime - state.cycle + due) / state.rate
+            measured = Measured(samples[due - cycle], time, state, state.modes.is_powered)
+            packages[due] = self._package(self._shown, measured, is_steady=True)
+            due = self.next_cycle(due)
+        return packages
+
+    def _measured(self) -> Measured:
+        state = self._state
+        return Measured(state.arm.sample, state.time, state, state.modes.is_powered)
+
+    def _look(self) -> Mapping[int, Fields]:
+        return {kind: look(self._state) for kind, look in _SHOWN.items() if kind in self._forms}
+
+    def _package(
+        self, shown: Mapping[int, Fields], measured: Measured, *, is_steady: bool, is_first: bool = False
+    ) -> StatePackage:
+        forms, unchanging = self._forms, self._unchanging
+        kinds = [kind for kind in forms if is_first or kind not in self._first_only]
+
+        def fields(kind: int) -> Fields:
+            measure = _MEASURED.get(kind)
+            return {**shown.get(kind, {}), **({} if measure is None else measure(measured))}
+
+        def make() -> bytes:
+            parts = [unchanging.get(kind) or forms[kind].pack(fields(kind)) for kind in kinds]
+            return package(16, b"".join(parts))
+
+        size = self._first_size if is_first else self._size
+        head = _HEAD.pack(size, 16, forms[0].layout.size, 0, measured.timestamp)
+        return StatePackage(head, size, make, is_steady)
+
+    def _lay_out(self) -> None:
+        """Choose the forms of the packages, initially and after a reboot into another firmware."""
+        firmware = self._state.firmware
+        if self._firmware is firmware:
+            return
         release = release_of(firmware)
         self._firmware = firmware
         self._first_only = frozenset(release.first_state_only)
-        self._forms.clear()
+        self._forms = {}
         for kind, size in release.state.items():
             # Some type numbers have had two meanings, which the size distinguishes.
             for cls in SUB_PACKAGES[kind]:
@@ -92,6 +215,9 @@ class StatePackages:
         self._unchanging = {
             kind: self._forms[kind].pack(fill(self._state)) for kind, fill in _UNCHANGING.items() if kind in self._forms
         }
+        sizes = {kind: form.layout.size for kind, form in self._forms.items()}
+        self._first_size = PACKAGE.width + sum(sizes.values())
+        self._size = self._first_size - sum(sizes.get(kind, 0) for kind in self._first_only)
 
 
 class SecondaryInterface(Interface):
@@ -115,14 +241,29 @@ class SecondaryInterface(Interface):
         self._served: int | None = None
 
     def greeting(self) -> list[bytes]:
-        return [*greeting(self._state, self._NAME), self._states.package(first=True)]
+        return [*greeting(self._state, self._NAME), bytes(self._states.greeting())]
 
     def next_cycle(self, cycle: int) -> int:
         return self._states.next_cycle(cycle)
 
-    def packets(self, cycle: int) -> list[bytes]:
+    def packets(self, cycle: int) -> Sequence[bytes | Deferred]:
         since, self._served = cycle - 1 if self._served is None else self._served, cycle
         return [self._states.of_cycle(cycle)] if self._states.next_cycle(since) <= cycle else []
+
+    def last_steady(self, cycle: int, last: int, clients: Sequence[BatchClient]) -> int:
+        before = self.last_ahead(cycle, last, clients)
+        if before == last or not self._states.is_steady:
+            return before
+        return max(before, min([last, *(client.last_quiet_cycle for client in clients)]))
+
+    def send_ahead(self, cycle: int, samples: Samples | None, clients: Sequence[BatchClient]) -> None:
+        if samples is None:
+            return
+        packages = self._states.later(cycle + 1 - len(samples), samples, cycle)
+        if packages:
+            self._served = max(packages)
+            for client in clients:
+                client.send_batch(list(packages.values()), list(packages))
 
     def skip(self) -> None:
         self._served = None
@@ -136,13 +277,13 @@ class PrimaryInterface(SecondaryInterface):
 
     _NAME = "primary"
 
-    def packets(self, cycle: int) -> list[bytes]:
+    def packets(self, cycle: int) -> Sequence[bytes | Deferred]:
         # After a change of the safety mode, send an additional state before the message about the change. When the
         # vendor's primary client receives this message, it expects that the latest state already shows the stop. The
         # order of the state and the message on a real controller is unknown.
-        messages, states = self._state.outbox.take(), super().packets(cycle)
+        messages, states = self._state.outbox.take(), [*super().packets(cycle)]
         if messages and not states and self._states.is_outdated:
-            states = [self._states.of_cycle(cycle)]
+            states = [self._states.extra(cycle)]
         return [*states, *messages]
 
     def skip(self) -> None:
@@ -150,16 +291,13 @@ class PrimaryInterface(SecondaryInterface):
         self._state.outbox.take()
 
 
-# -- sub-packages of the robot state -------------------------------------------------------------
+# -- modes, signals and settings -----------------------------------------------------------------
 
 
 def _robot_mode(state: ControllerState) -> Fields:
-    modes, firmware = state.modes, state.firmware
+    modes = state.modes
     playing = modes.program_state.name
-    # The time stamps in CB2 captures are too small to be microseconds, so milliseconds are assumed.
-    unit = 1e3 if firmware.is_cb2 else 1e6
     return {
-        "timestamp": round(state.time * unit),
         "is_robot_connected": True,
         "is_robot_enabled": True,
         "is_power_on": modes.is_powered,
@@ -176,22 +314,6 @@ def _robot_mode(state: ControllerState) -> Fields:
     }
 
 
-def _joint_data(state: ControllerState) -> Fields:
-    s = state.arm.sample
-    # In captures, the electronics of CB joints are about 20 K warmer than the motors. The e-Series sends zeros.
-    micro = [0.0] * 6 if state.firmware.is_e_series else [t + 22.0 for t in s.T_motor]
-    return {
-        "q_actual": s.q_actual,
-        "q_target": s.q_target,
-        "qd_actual": s.qd_actual,
-        "I_actual": s.I_actual,
-        "V_actual": s.V_actual,
-        "T_motor": s.T_motor,
-        "T_micro": micro,
-        "joint_modes": [state.modes.joint_mode] * 6,
-    }
-
-
 def _tool_data(state: ControllerState) -> Fields:
     signals, modes = state.signals, state.modes
     powered = modes.is_powered
@@ -203,7 +325,6 @@ def _tool_data(state: ControllerState) -> Fields:
         "tool_voltage_48V": 45.3 if powered else 0.0,
         "tool_output_voltage": signals.tool_output_voltage if powered else 0,
         "tool_current": 0.006 if powered else 0.0,
-        "tool_temperature": state.arm.sample.T_motor[5] + 15.0,
         "tool_mode": modes.tool_mode,
     }
 
@@ -224,7 +345,6 @@ def _masterboard(state: ControllerState) -> Fields:
         "analog_output_1": signals.analog_outputs[1],
         "masterboard_temperature": 30.0,
         "robot_voltage_48V": ROBOT_VOLTAGE if modes.is_powered else 0.0,
-        "robot_current": robot_current(state),
         "master_io_current": 0.0,
         "is_in_reduced_mode": False,
         "is_euromap_installed": False,
@@ -239,11 +359,8 @@ def _masterboard(state: ControllerState) -> Fields:
     }
 
 
-def _cartesian(state: ControllerState) -> Fields:
-    pose, tcp = state.arm.sample.pose_actual, state.arm.tcp
-    axes = ("X", "Y", "Z", "Rx", "Ry", "Rz")
-    offsets = (f"tcp_offset_{axis}" for axis in axes)
-    return {**dict(zip(axes, pose, strict=True)), **dict(zip(offsets, tcp, strict=True))}
+def _tool_offset(state: ControllerState) -> Fields:
+    return {f"tcp_offset_{axis}": value for axis, value in zip(_AXES, state.arm.tcp, strict=True)}
 
 
 def _kinematics(state: ControllerState) -> Fields:
@@ -288,12 +405,6 @@ def _configuration(state: ControllerState) -> Fields:
     }
 
 
-def _force_mode(state: ControllerState) -> Fields:
-    force = state.arm.sample.force
-    axes = ("Fx", "Fy", "Fz", "Frx", "Fry", "Frz")
-    return {**dict(zip(axes, force, strict=True)), "robot_dexterity": state.arm.dexterity}
-
-
 def _additional(state: ControllerState) -> Fields:
     # These values are from captures.
     return {
@@ -307,15 +418,12 @@ def _additional(state: ControllerState) -> Fields:
 
 
 def _safety_data(state: ControllerState) -> Fields:
-    s, q1 = state.arm.sample, state.arm.sample.q_actual[0]
-    shift, radius = _ELBOW_SPHERE.get(state.model.name, _ELBOW_SPHERE_ELSE[state.model.generation])
-    x, y, z = s.elbow_position
-    return {
-        "checksum": _CHECKSUM,
-        "reserved": [1, 1],
-        "elbow_sphere_centre": [x + shift * math.sin(q1), y - shift * math.cos(q1), z],
-        "elbow_sphere_radius": radius,
-    }
+    return {"checksum": _CHECKSUM, "reserved": [1, 1], "elbow_sphere_radius": _elbow_sphere(state)[1]}
+
+
+def _elbow_sphere(state: ControllerState) -> tuple[float, float]:
+    """Return distance and radius of the sphere around the elbow; see `_ELBOW_SPHERE`."""
+    return _ELBOW_SPHERE.get(state.model.name, _ELBOW_SPHERE_ELSE[state.model.generation])
 
 
 def _tool_mode(state: ControllerState) -> Fields:
@@ -327,6 +435,42 @@ def _tool_mode(state: ControllerState) -> Fields:
     }
 
 
+# -- measured values -----------------------------------------------------------------------------
+
+
+def _measured_joints(measured: Measured) -> Fields:
+    s = measured.sample
+    # In captures, the electronics of CB joints are about 20 K warmer than the motors. The e-Series sends zeros.
+    micro = [0.0] * 6 if measured.state.firmware.is_e_series else [t + 22.0 for t in s.T_motor]
+    return {
+        "q_actual": s.q_actual,
+        "q_target": s.q_target,
+        "qd_actual": s.qd_actual,
+        "I_actual": s.I_actual,
+        "V_actual": s.V_actual,
+        "T_motor": s.T_motor,
+        "T_micro": micro,
+    }
+
+
+def _measured_current(measured: Measured) -> Fields:
+    constants = measured.state.arm.motors.torque_constants
+    return {"robot_current": current_of(measured.sample, constants, measured.is_powered)}
+
+
+def _measured_force(measured: Measured) -> Fields:
+    axes = ("Fx", "Fy", "Fz", "Frx", "Fry", "Frz")
+    dexterity = measured.state.arm.dexterity(measured.sample.q_target)
+    return {**dict(zip(axes, measured.sample.force, strict=True)), "robot_dexterity": dexterity}
+
+
+def _measured_elbow(measured: Measured) -> Fields:
+    q1, (x, y, z) = measured.sample.q_actual[0], measured.sample.elbow_position
+    shift, _ = _elbow_sphere(measured.state)
+    return {"elbow_sphere_centre": [x + shift * math.sin(q1), y - shift * math.cos(q1), z]}
+
+
+_AXES = ("X", "Y", "Z", "Rx", "Ry", "Rz")
 #: Invented checksum of the safety configuration. Two sub-packages contain it, as in captures.
 _CHECKSUM = 0x5AFE0001
 
@@ -336,16 +480,25 @@ _CHECKSUM = 0x5AFE0001
 _ELBOW_SPHERE = {"UR5e": (0.093, 0.13), "UR3e": (0.080, 0.1)}
 _ELBOW_SPHERE_ELSE = {"CB": (0.0, 0.0), "e": (0.1, 0.15)}
 
-_CHANGING: dict[int, Callable[[ControllerState], Fields]] = {
+#: Type of a sub-package -> modes, signals and settings in it, or in addition to them, measured values and the time.
+_SHOWN: dict[int, Callable[[ControllerState], Fields]] = {
     0: _robot_mode,
-    1: _joint_data,
+    1: lambda state: {"joint_modes": [state.modes.joint_mode] * 6},
     2: _tool_data,
     3: _masterboard,
-    4: _cartesian,
-    7: _force_mode,
+    4: _tool_offset,
     10: _safety_data,
     11: lambda state: state.signals.tool_communication._asdict(),
     12: _tool_mode,
+}
+_MEASURED: dict[int, Callable[[Measured], Fields]] = {
+    0: lambda measured: {"timestamp": measured.timestamp},
+    1: _measured_joints,
+    2: lambda measured: {"tool_temperature": measured.sample.T_motor[5] + 15.0},
+    3: _measured_current,
+    4: lambda measured: dict(zip(_AXES, measured.sample.pose_actual, strict=True)),
+    7: _measured_force,
+    10: _measured_elbow,
 }
 _UNCHANGING: dict[int, Callable[[ControllerState], Fields]] = {
     5: _kinematics,

@@ -167,7 +167,10 @@ class RealtimePacket(DeferredPacket):
     __slots__ = ("_bytes", "_form", "_shown")
 
     def __init__(self, form: Form[StateLayout], shown: Shown, is_steady: bool) -> None:
-        super().__init__(form.layout, _HEAD.pack(form.layout.size, shown.time), is_steady)
+        # The constructors of the base classes only set these attributes, and a call of each would take longer.
+        self.layout = form.layout
+        self.head = _HEAD.pack(form.layout.size, shown.time)
+        self.is_steady = is_steady
         self._form = form
         self._shown = shown
         self._bytes: bytes | None = None

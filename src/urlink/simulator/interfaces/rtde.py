@@ -63,9 +63,10 @@ from urlink.protocol.rtde.recipes import MOST_RECIPES, Recipe
 from urlink.protocol.rtde.variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS, Variable
 
 from ..registers import FIELDBUSES
+from ..robot.sensors import Samples
 from ..rtde_variables import OUTPUT_VALUES, write_inputs
 from ..state import ControllerState
-from .interface import Form, Interface, InterfaceClient, InterfaceReceiver
+from .interface import BatchClient, Form, Interface, InterfaceClient, InterfaceReceiver
 
 _log = logging.getLogger("urlink.simulator")
 
@@ -147,6 +148,17 @@ class RtdeInterface(Interface):
             session.advance(cycle)
         return []
 
+    def last_ahead(self, cycle: int, last: int, clients: Sequence[BatchClient]) -> int:
+        for client in clients:
+            if isinstance(client.receiver, RtdeSession):
+                last = min(last, client.receiver.last_ahead(cycle, client))
+        return last
+
+    def send_ahead(self, cycle: int, samples: Samples | None, clients: Sequence[BatchClient]) -> None:
+        for client in clients:
+            if isinstance(client.receiver, RtdeSession):
+                client.receiver.send_ahead(cycle, client)
+
     def receiver(self, client: InterfaceClient) -> RtdeSession:
         session = RtdeSession(self, client)
         self.sessions.append(session)
@@ -163,18 +175,23 @@ class _Outputs:
 
     Attributes:
         step: Number of cycles from one package to the next.
+        is_steady: Whether the packages contain only the time, so that nothing else can change.
     """
 
     def __init__(self, recipe: Recipe, step: int) -> None:
         self.step = step
         self._form = Form(recipe.layout)
-        self._is_time = tuple(recipe.names) == ("timestamp",)
+        self.is_steady = tuple(recipe.names) == ("timestamp",)
         self._values = [(key, OUTPUT_VALUES[name]) for key, name in zip(recipe.fields, recipe.names, strict=True)]
 
     def package(self, state: ControllerState) -> bytes:
         package = self._form.pack({key: value(state) for key, value in self._values})
-        # In a recipe that contains only the time, nothing else can change.
-        return SteadyBytes(package) if self._is_time else package
+        return SteadyBytes(package) if self.is_steady else package
+
+    def steady_package(self, time: float) -> SteadyBytes:
+        """Return the package at a time of the controller, in s, if `is_steady` is true."""
+        ((key, _),) = self._values
+        return SteadyBytes(self._form.pack({key: time}))
 
 
 class RtdeSession(InterfaceReceiver):
@@ -381,6 +398,25 @@ class RtdeSession(InterfaceReceiver):
         else:
             self._unread_since = None
             self._send_data()
+
+    def last_ahead(self, cycle: int, client: BatchClient) -> int:
+        """See `Interface.last_ahead`."""
+        outputs, disturbance = self._outputs, self._interface.disturbance
+        before = self.next_cycle(cycle) - 1
+        is_steady = self.is_started and outputs is not None and outputs.is_steady and self._due > cycle
+        if not is_steady or self._late or disturbance.late or disturbance.sends_no_data:
+            return before
+        return max(before, client.last_quiet_cycle)
+
+    def send_ahead(self, cycle: int, client: BatchClient) -> None:
+        """See `Interface.send_ahead`."""
+        outputs, state = self._outputs, self._state
+        if not self.is_started or outputs is None or self._due > cycle:
+            return
+        due = range(self._due, cycle + 1, outputs.step)
+        times = [(state.uptime - state.cycle + each) / state.rate for each in due]
+        client.send_batch([outputs.steady_package(time) for time in times], due)
+        self._due = due[-1] + outputs.step
 
     def _send_data(self) -> None:
         assert self._outputs is not None, "started without an output recipe"

@@ -92,12 +92,25 @@ class RunningProgram:
         Return:
             Positions, speeds and accelerations, shape (3, n, 6); None if the set-points are only known cycle by cycle.
         """
+        return self._drive.course(cycles, seconds) if self._only_awaits_motion else None
+
+    @property
+    def _only_awaits_motion(self) -> bool:
+        """Whether the program does nothing until its motion has ended, and no setting has changed."""
         generator, state = self._drive.generator, self._state
-        if not self.is_program or not self.execution.only_awaits_motion:
-            return None
-        if generator.speed_fraction != state.slider or generator.arm.tcp != state.arm.tcp:
-            return None
-        return self._drive.course(cycles, seconds)
+        return (
+            self.is_program
+            and self.execution.only_awaits_motion
+            and generator.speed_fraction == state.slider
+            and generator.arm.tcp == state.arm.tcp
+        )
+
+    def glide(self, seconds: float) -> Setpoint | None:
+        """Advance by one cycle of `course`, and return its set-point; None if it is only known by `advance`."""
+        setpoint = self._drive.glide(seconds) if self._only_awaits_motion else None
+        if setpoint is not None:
+            self.execution.remember((self._state.arm.sample,))
+        return setpoint
 
     def advance_along(self, cycles: int, seconds: float, last: Setpoint, sensors: Iterable[SampleAt]) -> None:
         """Advance by this number of cycles of `course`.

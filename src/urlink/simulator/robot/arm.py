@@ -191,6 +191,15 @@ class SimulatedArm:
         self._sample = None
         return times
 
+    def glide(self, seconds: float, setpoint: Setpoint) -> None:
+        """Advance by one cycle, as `advance_along` does."""
+        self._time += seconds
+        self._setpoint = setpoint
+        self._progress.cycle += 1
+        if self._moving:
+            self._progress.moved += 1
+        self._sample = None
+
     def _count_rests(self, moving: tuple[bool, ...]) -> None:
         """Begin a rest of the joints that no longer move; `moving` is empty if no joint moves."""
         # A new list, because samples of earlier cycles refer to the previous one.
@@ -446,10 +455,12 @@ class SimulatedArm:
         acceleration: list[float] = ((after - before) / 2e-5).tolist()
         return acceleration
 
-    @property
-    def dexterity(self) -> float:
-        """Square of the determinant of the flange's Jacobian; 0 in a singular posture.
+    def dexterity(self, q: Sequence[float]) -> float:
+        """Return the square of the determinant of the flange's Jacobian; 0 in a singular posture.
 
         Three captured force mode packets contain exactly this number.
+
+        Args:
+            q: Target joint positions, shape (6,), in rad.
         """
-        return float(self.kinematics.manipulability(self._setpoint.q)) ** 2
+        return float(self.kinematics.manipulability(q)) ** 2

@@ -363,14 +363,14 @@ class Sensors:
             lag = self._of.lag
             error, change, past = self._tracking_error(progress)
             return [
-                _stepped(p - lag * v + e + past * c + n, s) if v else _stepped(p + n, s)
+                s * round((p - lag * v + e + past * c + n if v else p + n) / s)
                 for p, v, e, c, n, s in zip(q, qd, error, change, noise, STEPS, strict=True)
             ]
         offset = self._position_offset.white(progress.rest, _OFFSET)
         creep = self._creep(progress)
         if creep is None:
-            return [_stepped(p + o + n, s) for p, o, n, s in zip(q, offset, noise, STEPS, strict=True)]
-        return [_stepped(p + o + e + n, s) for p, o, e, n, s in zip(q, offset, creep, noise, STEPS, strict=True)]
+            return [s * round((p + o + n) / s) for p, o, n, s in zip(q, offset, noise, STEPS, strict=True)]
+        return [s * round((p + o + e + n) / s) for p, o, e, n, s in zip(q, offset, creep, noise, STEPS, strict=True)]
 
     def _tracking_error(self, progress: Progress) -> tuple[list[float], list[float], float]:
         """Return the tracking error of the joints at the last knot and its change until the next one, in rad.

@@ -121,10 +121,10 @@ class _Joined(NamedTuple):
 
 
 def _column(evidence: Evidence, which: str, each: _Field) -> Column | None:
-    name = each.rtde if which == "rtde" else each.realtime
-    read = each.primary if which in ("primary", "secondary") else lambda state: getattr(state, name, None)
     packets: Came = getattr(evidence, which)
-    return None if read is None else packets.column(read)
+    if which in ("primary", "secondary"):
+        return None if each.primary is None else packets.column(each.primary)
+    return packets.values(each.rtde if which == "rtde" else each.realtime)
 
 
 def _join(evidence: Evidence, which: str) -> _Joined:

@@ -160,7 +160,7 @@ def moments(name: str, packets: Came) -> NDArray[np.float64]:
     """
     if len(packets.states) < _FEWEST:
         raise NotTried(f"{len(packets.states)} packets of {name} arrived; {_FEWEST} are needed")
-    times = packets.column(_TIMES[name])
+    times = packets.values(_TIMES[name]) if name in _TIMES else packets.column(_state_time)
     if times is None:
         raise NotTried(f"the packets of {name} do not contain the time of the controller")
     return times
@@ -172,12 +172,8 @@ def _state_time(state: Any) -> float | None:
     return None if modes is None or modes.speed_scaling is None else modes.timestamp / 1e6
 
 
-_TIMES = {
-    "realtime": lambda state: state.time,
-    "rtde": lambda state: state.timestamp,
-    "primary": _state_time,
-    "secondary": _state_time,
-}
+#: Interface -> field that contains the time of the controller in s.
+_TIMES = {"realtime": "time", "rtde": "timestamp"}
 
 
 def _steps(name: str, packets: Came) -> NDArray[np.float64]:

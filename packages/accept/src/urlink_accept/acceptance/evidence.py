@@ -101,6 +101,7 @@ class Came:
     unknown: int = 0
     tails: int = 0
     begins: list[int] = field(default_factory=list)
+    _values: dict[str, NDArray[np.float64] | None] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def column(self, read: Callable[[Any], Any]) -> NDArray[np.float64] | None:
         """Return the values that `read` returns for the states, one row for each state; None if a state lacks them."""
@@ -108,6 +109,18 @@ class Came:
         if not values or any(value is None for value in values):
             return None
         return np.array(values, np.float64)
+
+    def values(self, name: str) -> NDArray[np.float64] | None:
+        """Return the values of a field of the states, one row for each state; None if a state lacks it.
+
+        Several requirements read the same fields, so the array is kept. It is read-only.
+        """
+        if name not in self._values:
+            column = self.column(lambda state: getattr(state, name, None))
+            if column is not None:
+                column.flags.writeable = False
+            self._values[name] = column
+        return self._values[name]
 
     def between(self, moment: float, later: float) -> Came:
         """Return the states that arrived from one monotonic time until before another, in s."""

@@ -54,7 +54,7 @@ _ENUMS = {"safety_mode": SafetyMode, "safety_status": SafetyMode, "program_state
 
 
 def _column(evidence: Evidence, name: str) -> NDArray[np.float64] | None:
-    return evidence.realtime.column(lambda state: getattr(state, name))
+    return evidence.realtime.values(name)
 
 
 def _wanted(evidence: Evidence, *names: str) -> list[NDArray[np.float64]]:

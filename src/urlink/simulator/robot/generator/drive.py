@@ -143,6 +143,13 @@ class ArmDrive:
         self.generator.advance_along(cycles, seconds, last)
         self.setpoint = last
 
+    def glide(self, seconds: float) -> Setpoint | None:
+        """See `MotionGenerator.glide`."""
+        setpoint = None if self.yields else self.generator.glide(seconds)
+        if setpoint is not None:
+            self.setpoint = setpoint
+        return setpoint
+
     def start(self, q: Sequence[float]) -> None:
         """Continue from rest at six joint positions, in rad, after a stop has braked the arm.
 

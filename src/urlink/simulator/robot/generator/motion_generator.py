@@ -15,6 +15,7 @@ The speed scaling stretches the time of every command except stops. For the rate
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -39,6 +40,8 @@ from .streamed_motion import JointSpeed, ServoMotion, ToolSpeed, lag_of
 _TAKES_OVER = 0.1
 # Minimum length, in rad or m, that is used to compute speed and acceleration from a duration.
 _SHORTEST = 1e-9
+#: Number of cycles whose set-points `glide` computes at once.
+_AHEAD = 64
 #: Length below which a path is considered to lead nowhere, in m or rad.
 _NOTHING = 1e-12
 
@@ -83,6 +86,9 @@ class MotionGenerator:
         self._gentle = [BRAKING * limit for limit in self._limits.acceleration]
         self._command: Command | None = None
         self._refusal: LimitViolation | None = None
+        # Set-points of the next cycles for `glide`, after the command and the set-point that they continue. A change of
+        # the scaling makes another set-point.
+        self._ahead: tuple[Command | None, Setpoint, deque[Setpoint]] = (None, setpoint, deque())
         if any(setpoint.qd):
             self.release()
 
@@ -113,7 +119,8 @@ class MotionGenerator:
     @property
     def follows_torque(self) -> bool:
         """Whether the joints are moved by direct torque in this cycle."""
-        return isinstance(self._command, TorqueMotion) and not self._command.is_at_rest
+        # `isinstance` takes several times as long, because commands have an abstract base class.
+        return type(self._command) is TorqueMotion and not self._command.is_at_rest
 
     @property
     def waypoint(self) -> list[float] | None:
@@ -134,8 +141,9 @@ class MotionGenerator:
             raise self._refusal
         last = self.setpoint
         before = self.scaling
-        rate = self._rise if before < self.speed_fraction else self._parameters.slider_rate
-        self.scaling = approached(before, self.speed_fraction, rate * seconds)
+        if before != self.speed_fraction:
+            rate = self._rise if before < self.speed_fraction else self._parameters.slider_rate
+            self.scaling = approached(before, self.speed_fraction, rate * seconds)
         if self.scaling == self.speed_fraction:
             self._rise = self._parameters.slider_rate
         change = self.scaling - before
@@ -170,6 +178,27 @@ class MotionGenerator:
         self._command.advance_along(cycles, seconds, self.scaling, last)
         self._rise = self._parameters.slider_rate
         self.setpoint = last
+
+    def glide(self, seconds: float) -> Setpoint | None:
+        """Advance by one cycle of `course`, and return its set-point.
+
+        Return None, and do nothing, if the set-point is only known by `advance`.
+        """
+        command = self._command
+        if self._refusal is not None or self.scaling != self.speed_fraction or type(command) is not PathMove:
+            return None
+        begun, last, ahead = self._ahead
+        if begun is not command or last is not self.setpoint or not ahead:
+            course = self.course(_AHEAD, seconds)
+            if course is None or not course.size:
+                return None
+            ahead = deque(map(Setpoint._make, course.transpose(1, 0, 2).tolist()))
+        setpoint = ahead.popleft()
+        command.advance_along(1, seconds, self.scaling, setpoint)
+        self._rise = self._parameters.slider_rate
+        self.setpoint = setpoint
+        self._ahead = command, setpoint, ahead
+        return setpoint
 
     def _is_near_singularity(self, q: Sequence[float]) -> bool:
         """Whether a slow motion of the flange can require high joint speeds at these positions."""
