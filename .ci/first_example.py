@@ -142,6 +142,8 @@ def main(folder: str) -> None:
     """
     readme = (ROOT / folder / "README.md").read_text(encoding="utf-8")
     os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    if sys.platform == "linux":
+        os.environ.setdefault("MUJOCO_GL", "egl")  # MuJoCo draws without a screen
     with contextlib.ExitStack() as stack:
         place = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         # The commands name the examples of the packages as in a checkout.
