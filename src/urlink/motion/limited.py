@@ -10,9 +10,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from linkcore.errors import LocalError
 
@@ -43,6 +45,10 @@ RAMP = 0.5 / number("start_rate")
 #: If the acceleration of a trajectory rises within the first of these times in s, servoj exceeds the speed by this rise
 #: in rad/s², times the factor in s. Both are chosen from the simulator (assumption).
 _OVERSHOOTS, _OVERSHOOT = (0.15, 0.1, 0.05, 0.0), 0.025
+#: A trajectory that begins slowly catches up for a few cycles when its program runs at full speed. So the arm is faster
+#: by up to this factor in the first part of the trajectory, in s. Both are chosen from the simulator (assumption): at
+#: 125 Hz, the set-points are faster by a tenth for 0.04 s, and the arm by 1.033.
+_CATCHES_UP, _FASTER = 0.2, 1.04
 #: Deceleration with which the program of a servo brakes at its end (`urlink.script.links.BRAKE`), in rad/s², and
 #: rounding error of a set-point, in rad.
 _STOPPING, _ROUNDED = 4.0, 2e-6
@@ -51,6 +57,8 @@ _STOPPING, _ROUNDED = 4.0, 2e-6
 FIRST_STEP = 0.01
 #: Watched motions: number of cycles until the arm begins to brake.
 _REACTION = 6
+#: Largest difference between an arm and the published lengths of its model, in m.
+_CALIBRATED = 0.01
 #: Parts of a speed of the tool: along the axes, and about the axes.
 _LINE_AND_TURN = slice(0, 3), slice(3, 6)
 
@@ -179,6 +187,7 @@ class LimitedArm:
         *,
         starts_fast: bool = False,
         ends_fast: bool = False,
+        zones: tuple[float, float] = (0.0, 0.0),
         start: FloatArray | None = None,
     ) -> None:
         """Check a motion that is straight in joint space, with a trapezoid of the speed of the leading joint.
@@ -187,6 +196,7 @@ class LimitedArm:
             end: Positions of the joints at the end, (6,) rad.
             speed, acceleration: Speed and acceleration of the joint that moves furthest, in rad/s and rad/s².
             starts_fast, ends_fast: Whether the motion begins or ends with a blend, so that it is fast there.
+            zones: Radii in m about both ends. The speeds in these zones are not checked.
             start: Positions at the beginning; None for the position of the arm.
         """
         start = self.q if start is None else start
@@ -201,7 +211,21 @@ class LimitedArm:
             speed = min(speed, float((model.max_speed / shares).min()))
         parts = np.linspace(0.0, 1.0, _count(float(np.abs(way).sum()) / STEP))
         rates = speed_along(parts, length, speed, acceleration, starts_fast, ends_fast)
-        self.check(start + parts[:, np.newaxis] * way, (rates / length)[:, np.newaxis] * way)
+        rows = start + parts[:, np.newaxis] * way
+        self.check(rows, (rates * self.is_beyond(rows, zones) / length)[:, np.newaxis] * way)
+
+    def is_beyond(self, rows: FloatArray, zones: tuple[float, float]) -> NDArray[np.bool_]:
+        """Return whether the TCP is beyond the zones about both ends of a path.
+
+        Args:
+            rows: Positions of the joints on the path, (n, 6) rad.
+            zones: Radii of the zones about the first and the last position, in m.
+        """
+        if not any(zones):
+            return np.ones(len(rows), dtype=np.bool_)
+        places = self.arm.forward(rows, self.tcp)[:, :3]
+        first, last = (np.linalg.norm(places - end, axis=1) for end in (places[0], places[-1]))
+        return np.asarray((first >= zones[0]) & (last >= zones[1]))
 
     def check_corner(self, before: FloatArray, corner: FloatArray, after: FloatArray) -> None:
         """Check the positions of a blend: it stays between the corner and the paths on both sides of it.
@@ -302,29 +326,87 @@ class LimitedArm:
             seconds: Time until the tool brakes, in s.
         """
         q, jacobian = self.q, self.arm.jacobian(self.q, self.tcp)
-        before = jacobian @ self.qd
-        reached = np.concatenate([_towards(before[p], xd[p], acceleration * seconds) for p in _LINE_AND_TURN])
+        before: list[float] = (jacobian @ self.qd).tolist()
+        goal, most = xd.tolist(), acceleration * seconds
+        reached = [value for part in _LINE_AND_TURN for value in _closer(before[part], goal[part], most)]
+        line, turn = (math.hypot(*reached[part]) for part in _LINE_AND_TURN)
         if self.limits.box is not None:
-            rise = min(float(np.linalg.norm(reached[:3] - before[:3])) / acceleration, seconds)
-            # While the speed changes, the tool moves on a parabola. It lies in the triangle of its ends and of the
-            # point where the tangents of both meet. The rest of the path is straight, so the box contains the path if
-            # it contains these points.
-            place = self.arm.forward(q, self.tcp)[:3]
-            meet = place + 0.5 * rise * before[:3]
-            end = meet + (seconds - 0.5 * rise) * reached[:3]
-            rest = end + 0.5 * float(np.linalg.norm(reached[:3])) / acceleration * reached[:3]
-            self.limits.check_places(np.stack([place, meet, meet + 0.5 * rise * reached[:3], end, rest]))
-        braking = max(float(np.linalg.norm(reached[part])) for part in _LINE_AND_TURN) / acceleration
+            rise = min(math.dist(reached[:3], before[:3]) / acceleration, seconds)
+            place: list[float] = self.arm.forward(q, self.tcp)[:3].tolist()
+            points = _until_rest(place, before[:3], reached[:3], rise, seconds, line / acceleration)
+            if not self._box_contains(points, MARGIN):
+                self.limits.check_places(np.array(points))
         try:
-            qd = np.linalg.solve(jacobian, reached)
+            qd = np.linalg.solve(jacobian, np.array(reached))
             # At the same speed of the tool, the joints are faster closer to a singularity.
-            places = q + np.array([[seconds], [seconds + 0.375 * braking]]) * qd
-            later = np.linalg.solve(self.arm.jacobian(places, self.tcp), np.stack([reached, 0.5 * reached])[..., None])
+            later = [seconds, seconds + 0.375 * max(line, turn) / acceleration]
+            jacobians = np.array([self.arm.jacobian(q + each * qd, self.tcp) for each in later])
+            speeds = np.linalg.solve(jacobians, np.array([reached, [0.5 * each for each in reached]])[..., np.newaxis])
         except np.linalg.LinAlgError:
             raise LimitExceeded("joint_speed", "the arm is at a singularity", "an arm outside of it") from None
-        self.limits.check_joint_speeds(np.concatenate([qd[np.newaxis], later[..., 0]]))
-        if self.limits.tool_speed is not None:
-            self.limits.check_tool_speeds(np.linalg.norm(reached[np.newaxis, :3], axis=1))
+        self.limits.check_joint_speeds(np.concatenate([qd[np.newaxis], speeds[..., 0]]))
+        self.limits.check_tool_speeds(np.array([line]))
+
+    def check_joint_stop(self, qd: FloatArray, acceleration: float, seconds: float) -> None:
+        """Check that the joints could come to rest within the limits after some more time at their speeds.
+
+        The verdict is that of `check_joint_speed`. This method needs a small part of its time unless the arm is close
+        to a limit, so a loop can call it in each cycle.
+
+        Args:
+            qd: Speeds, (6,) rad/s.
+            acceleration: Acceleration of the joint whose speed changes most, in rad/s².
+            seconds: Time until the arm brakes, in s.
+        """
+        if not self._stops_surely(qd.tolist(), acceleration, seconds):
+            self.check_joint_speed(qd, acceleration, seconds)
+
+    def _stops_surely(self, qd: list[float], acceleration: float, seconds: float) -> bool:
+        """Whether an upper bound of the motion of `check_joint_stop` is within the limits.
+
+        The position of the TCP is computed as if it were linear in the turns of the joints. The second derivatives
+        limit the error. For two joints, the derivative is at most the distance of the TCP from the axis of the second.
+        """
+        before: list[float] = self.qd.tolist()
+        rise = max(abs(b - a) for a, b in zip(before, qd, strict=True)) / acceleration
+        part = 1.0 if rise <= seconds else seconds / rise
+        reached = [a + part * (b - a) for a, b in zip(before, qd, strict=True)]
+        most = [max(abs(a), abs(b)) for a, b in zip(before, reached, strict=True)]
+        limits = self.limits
+        if limits.joint_speed is not None and not max(most) <= limits.joint_speed:
+            return False
+        braking = max(map(abs, reached)) / acceleration
+        # Largest acceleration of the TCP, in m/s², at these speeds of the joints. The order of two joints counts twice.
+        bend = inner = 0.0
+        for radius, speed in zip(self._radii, most, strict=True):
+            bend += radius * speed * (speed + 2.0 * inner)
+            inner += speed
+        now, then = (self.arm.velocity(self.q, each, self.tcp)[:3].tolist() for each in (before, reached))
+        if limits.tool_speed is not None:
+            fastest = max(math.hypot(*now), math.hypot(*then)) + seconds * bend
+            # While the arm brakes, the fraction `left` of the speed is left. Then the TCP is at most at the speed
+            # left * (fastest + change * (1 - left²) / 2). This is largest at the beginning, or at this fraction:
+            change = braking * bend
+            if change > fastest:
+                left = math.sqrt((fastest + 0.5 * change) / (1.5 * change))
+                fastest = left * (fastest + 0.5 * change * (1.0 - left * left))
+            if not fastest <= limits.tool_speed:
+                return False
+        if limits.box is None:
+            return True
+        place: list[float] = self.arm.forward(self.q, self.tcp)[:3].tolist()
+        points = _until_rest(place, now, then, min(rise, seconds), seconds, braking)
+        return self._box_contains(points, MARGIN + _ROUNDED + 0.5 * (seconds + 0.5 * braking) ** 2 * bend)
+
+    def _box_contains(self, points: Sequence[Sequence[float]], margin: float) -> bool:
+        """Whether points, in m, are in the box, and at least `margin` m from its faces."""
+        assert self.limits.box is not None
+        low, high = self.limits.box
+        return all(
+            least + margin <= value <= most - margin
+            for point in points
+            for least, value, most in zip(low, point, high, strict=True)
+        )
 
     def check_curve(
         self,
@@ -365,7 +447,7 @@ class LimitedArm:
         def followed(t: FloatArray) -> tuple[FloatArray, FloatArray]:
             q, qd, _ = trajectory.at(t)
             if begins_slowly:
-                return q, qd
+                return q, qd * np.where(t <= _CATCHES_UP, _FASTER, 1.0)[:, np.newaxis]
             # Accelerations of the last _OVERSHOOTS in the direction of the motion, the oldest one first.
             recent = [np.sign(qd) * trajectory.at(t - lag)[2] for lag in _OVERSHOOTS]
             overshoot = _OVERSHOOT * np.maximum(np.max(recent, axis=0) - recent[0], 0.0)
@@ -420,6 +502,14 @@ class LimitedArm:
         """Upper bound of the distance of the TCP from the axis of any joint, in m."""
         model = self.arm.model
         return float(np.abs(model.dh_a).sum() + np.abs(model.dh_d).sum() + np.linalg.norm(self.tcp[:3]))
+
+    @cached_property
+    def _radii(self) -> list[float]:
+        """Upper bounds of the distances of the TCP from the axes of the joints, (6,) m, for any arm of the model."""
+        model = self.arm.model
+        along, across = np.abs(model.dh_d).tolist(), np.abs(model.dh_a).tolist()
+        beyond = float(np.linalg.norm(self.tcp[:3])) + _CALIBRATED
+        return [sum(across[joint:]) + sum(along[joint + 1 :]) + beyond for joint in range(6)]
 
     def watch(self, q: FloatArray, qd: FloatArray) -> None:
         """Check that an arm that is moved by forces could come to rest within the limits.
@@ -487,6 +577,32 @@ def _between(times: FloatArray, places: int) -> FloatArray:
     parts = np.linspace(0.0, 1.0, places)[:-1]
     inner = (times[:-1, np.newaxis] + np.diff(times)[:, np.newaxis] * parts).ravel()
     return np.append(inner, times[-1])
+
+
+def _closer(now: list[float], target: list[float], most: float) -> list[float]:
+    """Return `now`, changed towards the target by at most `most`."""
+    distance = math.dist(now, target)
+    return target if distance <= most else [a + most / distance * (b - a) for a, b in zip(now, target, strict=True)]
+
+
+def _until_rest(
+    place: list[float], before: list[float], reached: list[float], rise: float, seconds: float, braking: float
+) -> list[list[float]]:
+    """Return points whose convex hull contains the way of a tool at changing speed, and until it is at rest.
+
+    Args:
+        place: Position of the tool, (3,) m.
+        before, reached: Speeds of the tool now, and after `rise` s, (3,) m/s.
+        rise: Time in s in which the speed changes evenly.
+        seconds: Time until the tool brakes, in s.
+        braking: Time in s in which the tool brakes evenly.
+    """
+    points = [place]
+    # While the speed changes, the tool moves on a parabola. It lies in the triangle of its ends and of the point where
+    # the tangents of both meet. The rest of the path is straight.
+    for speed, length in ((before, 0.5 * rise), (reached, 0.5 * rise), (reached, seconds - rise + 0.5 * braking)):
+        points.append([a + length * v for a, v in zip(points[-1], speed, strict=True)])
+    return points
 
 
 def _towards(now: FloatArray, target: FloatArray, most: float) -> FloatArray:

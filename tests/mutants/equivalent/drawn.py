@@ -83,7 +83,7 @@ EQUIVALENT: tuple[Equivalent, ...] = (
     Equivalent(
         "urlink/motion/moves/path.py",
         "_curve",
-        "_check_blends(blend, waypoint.blend, curve.length); self._q = self._follow(curve, rate, blend, waypoint.blend)",
+        "_check_blends(blend, waypoint.blend, curve.length); self._q, rate = self._follow(curve, rate, blend, waypoint.blend)",
         "swapped",
         "only the order differs in which two errors of one path are reported",
     ),

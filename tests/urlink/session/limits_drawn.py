@@ -9,13 +9,20 @@ The limits are compared with the targets of the simulated arm in every cycle of 
 
 Some commands consist of several calls, such as the points of a stream and their replacement. If a call is refused, the
 connection without limits makes the calls up to this one, because a later call must not make an earlier one harmless. A
-motion that is stopped at a limit while it runs counts as refused.
+motion that is stopped at a limit while it runs counts as refused, unless the arm moved exactly as without limits,
+because the command ended in the same cycle.
+
+The report also gives the share among the commands that themselves stay within the limits, with the margins that
+docs/session-limits.md states. For these, the values that the arm was asked for are compared with the limits too: the
+set-points of ``servoj``, and the speeds of a jog. The arm can be slower, because the controller smooths set-points, and
+because the arm might not reach its speed before the command ends.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import dataclasses
 import itertools
 import sys
 import time
@@ -23,6 +30,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
@@ -32,10 +40,13 @@ from linkcore.errors import LinkError
 from linkcore.handle import Motion
 from urlink import Circular, Joint, LimitExceeded, Linear, SessionLimits, Trajectory, TrajectoryPoint
 from urlink.arm.kinematics import Arm
+from urlink.arm.poses import rotvec_to_matrix
 from urlink.arm.vectors import FloatArray
 from urlink.robot import Robot
-from urlink.session.session_limits import KINDS
+from urlink.session.session_limits import KINDS, MARGIN
+from urlink.session.session_limits import SLACK as STATED_SLACK
 from urlink.simulator import Controller
+from urlink.simulator.robot.generator.streamed_motion import ServoMotion
 
 #: Box of the TCP, and the part of it in which motions begin, in m in the base frame of the arm.
 BOX = ((-0.75, -0.40, 0.10), (-0.25, 0.25, 0.60))
@@ -50,6 +61,10 @@ READY = np.array([0.0, -1.6, 1.9, -1.9, -1.57, 0.0])
 TIMEOUT = 120.0
 #: Commands in one simulated world, and arms by their firmware.
 _CHUNK, _ARMS = 20, (("ur5", "3.15"),) * 9 + (("ur5e", "5.11"),)
+#: Time in s over which the speed of set-points is measured. They are rounded, so a shorter time is not precise enough.
+_PERIOD = 0.008
+#: Largest difference in rad between two motions that count as the same.
+_SAME = 1e-6
 #: Time in s within which springs pull the arm to a target.
 _ARRIVING = 10.0
 #: First firmware with direct torque, for impedances of the joints.
@@ -65,6 +80,8 @@ class Tally:
         accepted: Number of accepted commands.
         inside: Number of commands that stay within the limits.
         accepted_inside: Number of accepted commands among them.
+        proper: Number of commands among those inside that ask only for values within the limits, with the margins.
+        accepted_proper: Number of accepted commands among them.
         escaped: Descriptions of accepted commands that have left the limits.
         box, tool_speed, joint_speed: Largest distance outside of the box in m, and largest speeds in m/s and rad/s, of
             the accepted commands.
@@ -74,6 +91,8 @@ class Tally:
     accepted: int = 0
     inside: int = 0
     accepted_inside: int = 0
+    proper: int = 0
+    accepted_proper: int = 0
     escaped: list[str] = field(default_factory=list)
     refused: list[str] = field(default_factory=list)
     box: float = -np.inf
@@ -82,38 +101,62 @@ class Tally:
 
     def add(self, other: Tally) -> None:
         """Add the figures of other commands."""
-        for name in ("commands", "accepted", "inside", "accepted_inside"):
+        for name in ("commands", "accepted", "inside", "accepted_inside", "proper", "accepted_proper"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         for name in ("box", "tool_speed", "joint_speed"):
             setattr(self, name, max(getattr(self, name), getattr(other, name)))
         self.escaped += other.escaped
         self.refused += other.refused
 
+    def count(self, seen: Seen, *, is_accepted: bool) -> None:
+        """Count a command that stayed within the limits."""
+        self.inside += 1
+        self.accepted_inside += is_accepted
+        self.proper += seen.is_proper
+        self.accepted_proper += is_accepted and seen.is_proper
+
     def __str__(self) -> str:
-        share = self.accepted_inside / self.inside if self.inside else 1.0
+        share, proper = (
+            accepted / count if count else 1.0
+            for accepted, count in ((self.accepted_inside, self.inside), (self.accepted_proper, self.proper))
+        )
         return (
             f"{self.commands:5d} drawn {self.accepted:5d} accepted {self.inside:5d} stay inside, of which accepted "
-            f"{self.accepted_inside:5d} = {share:7.2%}; outside {len(self.escaped):3d}; box {self.box * 1e3:+8.2f} mm, "
-            f"tool {self.tool_speed:.4f} m/s, joint {self.joint_speed:.4f} rad/s"
+            f"{self.accepted_inside:5d} = {share:7.2%}; ask so {self.proper:5d}, of which accepted "
+            f"{self.accepted_proper:5d} = {proper:7.2%}; outside {len(self.escaped):3d}; "
+            f"box {self.box * 1e3:+8.2f} mm, tool {self.tool_speed:.4f} m/s, joint {self.joint_speed:.4f} rad/s"
         )
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What the arm did: distance outside of the box in m, and largest speeds in m/s and rad/s."""
+    """What the arm did: distance outside of the box in m, and largest speeds in m/s and rad/s.
+
+    Attributes:
+        asked: The same for the set-points and the speeds that the arm was asked for; None if there were none.
+    """
 
     box: float
     tool_speed: float
     joint_speed: float
     error: str = ""
+    asked: Seen | None = None
 
     @property
     def is_inside(self) -> bool:
         """Whether the arm stayed within the limits."""
+        return self._is_within(0.0, SLACK)
+
+    @property
+    def is_proper(self) -> bool:
+        """Whether what the arm did and was asked for is within the limits, with the margins that the page states."""
+        return all(each is None or each._is_within(-MARGIN, STATED_SLACK) for each in (self, self.asked))
+
+    def _is_within(self, box: float, slack: float) -> bool:
         return (
-            self.box <= 0.0
-            and self.tool_speed <= TOOL_SPEED * (1.0 + SLACK)
-            and self.joint_speed <= JOINT_SPEED * (1.0 + SLACK)
+            self.box <= box
+            and self.tool_speed <= TOOL_SPEED * (1.0 + slack)
+            and self.joint_speed <= JOINT_SPEED * (1.0 + slack)
         )
 
 
@@ -124,11 +167,17 @@ Command = Callable[["Bench"], None]
 class Bench:
     """Simulated arm with two connections: one with limits, one without."""
 
-    def __init__(self, controller: Controller, limited: Robot, free: Robot, rng: np.random.Generator) -> None:
+    def __init__(
+        self, controller: Controller, limited: Robot, free: Robot, rng: np.random.Generator, goals: list[list[float]]
+    ) -> None:
         self.controller, self.limited, self.free, self.rng = controller, limited, free, rng
         self.robot = limited
         self.arm: Arm = free.kinematics
         self.rows: list[tuple[FloatArray, FloatArray]] = []
+        #: goals of ``servoj`` in each cycle, in rad
+        self.goals = goals
+        #: speeds that the arm was asked for: number of the first row, frame, speeds, and their duration in s
+        self.speeds: list[tuple[int, str, FloatArray, float]] = []
         self.cycle = 1.0 / free.firmware.rate
         #: number of calls that the command has made, and that it may make
         self._made, self._wanted = 0, np.inf
@@ -183,6 +232,8 @@ class Bench:
         newest = self.free.realtime.latest
         assert newest is not None
         self.rows[:] = [(newest.q_target, newest.qd_target)]
+        self.goals.clear()
+        self.speeds.clear()
         error = ""
         refusal = None
         try:
@@ -211,11 +262,56 @@ class Bench:
     def seen(self, error: str) -> Seen:
         """Return what the arm did since the command began."""
         q, qd = (np.array(each) for each in zip(*self.rows, strict=True))
+        return dataclasses.replace(self._measured(q, qd), error=error, asked=self._setpoints() or self._speeds())
+
+    def _setpoints(self) -> Seen | None:
+        """Return what an arm would do that is always at its set-points."""
+        goals = np.array(self.goals[:: max(round(_PERIOD / self.cycle), 1)])
+        if len(goals) < 4:
+            return None
+        begin, end = goals[:-1], goals[1:]
+        rates = (end - begin) / max(_PERIOD, self.cycle)
+        # If a set-point arrives one cycle late, the next step is twice as long. So the median of three steps counts.
+        steady = np.sort(np.stack([np.linalg.norm(rates, axis=1)[i : len(rates) - 2 + i] for i in range(3)]), axis=0)[1]
+        is_steady = np.linalg.norm(rates[1:-1], axis=1) <= steady * (1.0 + 1e-9)
+        if not is_steady.any():
+            return None
+        middles = 0.5 * (begin + end)[1:-1]
+        return self._measured(middles[is_steady], rates[1:-1][is_steady])
+
+    def ask(self, frame: str, speeds: FloatArray, seconds: float) -> None:
+        """Note that the arm is asked for speeds in a frame: "joints", "base" or "tool"."""
+        self.speeds.append((len(self.rows) - 1, frame, speeds, seconds))
+
+    def _speeds(self) -> Seen | None:
+        """Return what an arm would do that is always at the speeds that it was asked for."""
+        if not self.speeds:
+            return None
+        found = []
+        ends = [first for first, *_ in self.speeds[1:]] + [len(self.rows)]
+        for (first, frame, speeds, seconds), end in zip(self.speeds, ends, strict=True):
+            rows = self.rows[first : max(min(end, first + round(seconds / self.cycle)), first + 1)]
+            q = np.array([row[0] for row in rows])
+            rates = np.broadcast_to(speeds, q.shape)
+            if frame != "joints":
+                turns = [np.eye(3) if frame == "base" else rotvec_to_matrix(pose[3:]) for pose in self.arm.forward(q)]
+                twists = [np.concatenate([turn @ speeds[:3], turn @ speeds[3:]]) for turn in turns]
+                rates = np.linalg.solve(self.arm.jacobian(q), np.array(twists)[..., np.newaxis])[..., 0]
+            found.append(self._measured(q, rates))
+        return Seen(*(max(getattr(each, name) for each in found) for name in ("box", "tool_speed", "joint_speed")))
+
+    def moved(self) -> FloatArray:
+        """Return the positions of the arm from its first to its last motion since the command began, (n, 6) rad."""
+        q, qd = (np.array(each) for each in zip(*self.rows, strict=True))
+        moving = np.flatnonzero(qd.any(axis=1))
+        return q[moving[0] : moving[-1] + 1] if len(moving) else q[:0]
+
+    def _measured(self, q: FloatArray, qd: FloatArray) -> Seen:
         places = self.arm.forward(q)[:, :3]
         low, high = np.array(BOX)
         speeds = np.linalg.norm(np.einsum("nij,nj->ni", self.arm.jacobian(q)[:, :3], qd), axis=1)
         outside = float(np.maximum(low - places, places - high).max())
-        return Seen(outside, float(speeds.max()), float(np.abs(qd).max()), error)
+        return Seen(outside, float(speeds.max()), float(np.abs(qd).max()))
 
     # -- drawing -----------------------------------------------------------------------------------------
 
@@ -299,24 +395,34 @@ def speed_joints(bench: Bench) -> Command:
     qd = bench.rng.normal(size=6) * bench.log(0.03, 0.6)
     duration, acceleration = bench.log(0.1, 1.5), bench.log(0.5, 4.0)
 
-    return lambda on: _continued(on, lambda: on.motion.speed_joints(qd, acceleration, duration=duration), duration)
+    def start(on: Bench) -> Motion:
+        on.ask("joints", qd, duration)
+        motion: Motion = on.motion.speed_joints(qd, acceleration, duration=duration)
+        return motion
+
+    return lambda on: _continued(on, start, duration)
 
 
 def speed_linear(bench: Bench) -> Command:
     xd = np.concatenate([bench.way(bench.log(0.02, 0.4)), bench.rng.normal(size=3) * 0.1])
     duration, acceleration = bench.log(0.1, 1.5), bench.log(0.3, 3.0)
 
-    return lambda on: _continued(on, lambda: on.motion.speed_linear(xd, acceleration, duration=duration), duration)
+    def start(on: Bench) -> Motion:
+        on.ask("base", xd, duration)
+        motion: Motion = on.motion.speed_linear(xd, acceleration, duration=duration)
+        return motion
+
+    return lambda on: _continued(on, start, duration)
 
 
-def _continued(on: Bench, start: Callable[[], Motion], duration: float) -> None:
+def _continued(on: Bench, start: Callable[[Bench], Motion], duration: float) -> None:
     """Start a motion at one speed. Start it again before a short speed has expired."""
     on.begins_call()
-    motion = start()
+    motion = start(on)
     if duration <= 0.5:
         clock.sleep(0.5 * duration)
         if on.begins_call():
-            motion = start()
+            motion = start(on)
     motion.wait(TIMEOUT)
 
 
@@ -409,6 +515,7 @@ def jog(bench: Bench) -> Command:
             for speeds, pause in moves:
                 if not on.begins_call():
                     break
+                on.ask(str(frame), speeds, timeout)
                 handle.move(speeds)
                 clock.sleep(pause)
                 if handle.limit is not None:
@@ -484,12 +591,21 @@ DRAWN: dict[str, Callable[[Bench], Command]] = {
 @contextlib.contextmanager
 def bench(arm: str, firmware: str, rng: np.random.Generator) -> Iterator[Bench]:
     """Yield a simulated arm with both connections."""
+    goals: list[list[float]] = []
+    advance = ServoMotion.advance
+
+    def noting(motion: ServoMotion, *how: Any) -> Any:
+        setpoint = advance(motion, *how)
+        goals.append(list(motion.goal))
+        return setpoint
+
     with (
+        mock.patch.object(ServoMotion, "advance", noting),
         Controller(model=arm, firmware=firmware, noise=False) as controller,
         urlink.connect(controller.address, limits=LIMITS) as limited,
         urlink.connect(controller.address) as free,
     ):
-        yield Bench(controller, limited, free, rng)
+        yield Bench(controller, limited, free, rng, goals)
 
 
 def measured(kind: str, seed: int, number: int, count: int) -> Tally:
@@ -511,6 +627,7 @@ def measure_one(kind: str, on: Bench, tally: Tally) -> None:
     command = DRAWN[kind](on)
     tally.commands += 1
     seen = on.run(command, on.limited)
+    moved = on.moved()
     if isinstance(seen, Seen):
         tally.accepted += 1
         tally.box, tally.tool_speed = max(tally.box, seen.box), max(tally.tool_speed, seen.tool_speed)
@@ -518,14 +635,18 @@ def measure_one(kind: str, on: Bench, tally: Tally) -> None:
         if not seen.is_inside:
             tally.escaped.append(f"{kind} {tally.commands}: {seen}")
         elif not seen.error:
-            tally.inside += 1
-            tally.accepted_inside += 1
+            tally.count(seen, is_accepted=True)
         return
     on.place(start)
     free = on.run(command, on.free)
     assert isinstance(free, Seen)
     if free.is_inside and not free.error:
-        tally.inside += 1
+        as_free = on.moved()
+        is_same = len(moved) == len(as_free) > 0 and bool(np.abs(moved - as_free).max() < _SAME)
+        tally.count(free, is_accepted=is_same)
+        tally.accepted += is_same
+        if is_same:
+            return
         tally.refused.append(f"{kind} {tally.commands}: {seen} but {free}")
 
 

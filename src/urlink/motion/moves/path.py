@@ -7,14 +7,17 @@ and the TCP of the arm.
 Controllers refuse blends that overlap (vendor's manual; "overlapping blends" in users' logs). This module checks the
 sum of the radii at both ends of a segment. According to users, the controller makes a protective stop if a joint gets
 too fast on a line. Two facts are not published: the speed limit for a tool that turns in place, and the shape of a
-blend. Therefore corners are checked as if they had no blends.
+blend. Therefore corners are checked as if they had no blends. In a session with limits, the speed next to a blend is
+assumed to be the whole speed of the segment, and the segment gets a lower speed if it would exceed a limit there.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -54,6 +57,11 @@ _LEAP = 0.5
 #: Smallest number of steps on a path that is compared with the limits of a session. It is even, so that a position in
 #: the middle, where a short motion is fastest, is among them.
 _IN_LIMITS = 64
+#: Largest distance from the corner at which a blend ends, compared with the distance at which it begins (assumed).
+_ENDS_LATER = 2.0
+#: Fractions of the speed that are tried for a segment that would exceed a limit of the session next to a blend. At less
+#: than half of its speed, the path would be too different from the path that was asked for (chosen).
+_SLOWER = tuple(0.05 * part for part in range(19, 9, -1))
 #: Distance in m for which the tool needs as much time as for a turn of 1 rad (assumed).
 _RADIAN = parameters.number("metres_per_turn")
 #: If the tool centre moves at most this distance, in m, the tool is assumed to turn in place. A pose that was read from
@@ -274,23 +282,21 @@ def plan(
     if waypoints[-1].blend:
         raise BadValue(f"waypoint {len(waypoints) - 1} is the last one, so it cannot blend; expected blend=0")
     rates = [each.rates(joint_rates if isinstance(each, Joint) else tool_rates) for each in waypoints]
-    body: list[str] = []
-    for number, (waypoint, rate) in enumerate(zip(waypoints, rates, strict=True)):
-        body += [commands.segment(number), *_statement(waypoint, rate)]
     if arm is None:
-        return Plan(body, [PathSection(1.0, lambda state: 0.0)] * len(waypoints))
+        return Plan(_body(waypoints, rates), [PathSection(1.0, lambda state: 0.0)] * len(waypoints))
     planner = _Planner(arm, shown_tcp(arm, state), np.array(state.q_target), limited)
     before = 0.0
     sections = []
     for number, (waypoint, rate) in enumerate(zip(waypoints, rates, strict=True)):
         try:
-            sections.append(planner.section(waypoint, rate, before))
+            section, rates[number] = planner.section(waypoint, rate, before)
         except BadValue as error:
             raise type(error)(f"waypoint {number}: {error}") from None
         except LimitExceeded as error:
             raise LimitExceeded(error.limit, f"waypoint {number}: {error.value}", error.expected) from None
+        sections.append(section)
         before = waypoint.blend
-    return Plan(body, sections)
+    return Plan(_body(waypoints, rates), sections)
 
 
 def shown_tcp(arm: Arm, state: RealtimeState) -> FloatArray:
@@ -301,6 +307,14 @@ def shown_tcp(arm: Arm, state: RealtimeState) -> FloatArray:
     from ...arm.poses import compose, invert
 
     return compose(invert(arm.forward(state.q_actual)), state.tool_vector_actual)
+
+
+def _body(waypoints: Sequence[Waypoint], rates: Sequence[Rates]) -> list[str]:
+    """Return the lines of a program that moves along the waypoints."""
+    lines = []
+    for number, (waypoint, rate) in enumerate(zip(waypoints, rates, strict=True)):
+        lines += [commands.segment(number), *_statement(waypoint, rate)]
+    return lines
 
 
 def _statement(waypoint: Waypoint, rate: Rates) -> list[str]:
@@ -324,13 +338,17 @@ class _Planner:
         #: positions of the joints in the blend zone before the next corner, (n, 6) rad
         self._zone: FloatArray = np.zeros((0, 6))
 
-    def section(self, waypoint: Waypoint, rate: Rates, blend: float) -> PathSection:
-        """Plan the segment to a waypoint, after a segment that ends with a blend of `blend` m."""
+    def section(self, waypoint: Waypoint, rate: Rates, blend: float) -> tuple[PathSection, Rates]:
+        """Plan the segment to a waypoint, after a segment that ends with a blend of `blend` m.
+
+        Returns:
+            The segment, and its speed and acceleration: `rate`, or a lower speed (`_slowed`).
+        """
         if isinstance(waypoint, Joint):
             return self._joint(waypoint, rate, blend)
         return self._curve(waypoint, rate, blend)
 
-    def _joint(self, waypoint: Joint, rate: Rates, blend: float) -> PathSection:
+    def _joint(self, waypoint: Joint, rate: Rates, blend: float) -> tuple[PathSection, Rates]:
         model = self._arm.model
         model.check_joints(waypoint.q)
         JOINT_SPEED.check(rate.speed, "speed", float(model.max_speed.max()), f"a {model.name}")
@@ -341,14 +359,8 @@ class _Planner:
         places = self._arm.forward(np.stack([start, waypoint.q]), self._tcp)
         _check_blends(blend, waypoint.blend, math.dist(places[0, :3].tolist(), places[1, :3].tolist()))
         if self._limited is not None:
-            self._limited.check_joint_way(
-                waypoint.q,
-                rate.speed,
-                rate.acceleration,
-                starts_fast=blend > 0.0,
-                ends_fast=waypoint.blend > 0.0,
-                start=start,
-            )
+            check = partial(self._limited.check_joint_way, waypoint.q, start=start)
+            rate = _slowed(rate, blend, waypoint.blend, check)
             parts = np.linspace(0.0, 1.0, _IN_LIMITS)[:, np.newaxis]
             self._check_corner(start + parts * way, blend, waypoint.blend)
         self._q = np.array(waypoint.q)
@@ -357,9 +369,9 @@ class _Planner:
         def part(state: RealtimeState) -> float:
             return float((state.q_actual - start) @ way) / squared if squared else 1.0
 
-        return PathSection(rate.seconds(float(np.abs(way).max())), part)
+        return PathSection(rate.seconds(float(np.abs(way).max())), part), rate
 
-    def _curve(self, waypoint: Waypoint, rate: Rates, blend: float) -> PathSection:
+    def _curve(self, waypoint: Waypoint, rate: Rates, blend: float) -> tuple[PathSection, Rates]:
         from ...arm.curves import Arc, Line
 
         start = self._arm.forward(self._q, self._tcp).tolist()
@@ -370,8 +382,11 @@ class _Planner:
             assert isinstance(waypoint, Circular)
             curve = Arc(start, waypoint.via.tolist(), waypoint.to.tolist())
         _check_blends(blend, waypoint.blend, curve.length)
-        self._q = self._follow(curve, rate, blend, waypoint.blend)
-        return PathSection(rate.seconds(_counted(curve)), lambda state: curve.part(state.tool_vector_actual.tolist()))
+        self._q, rate = self._follow(curve, rate, blend, waypoint.blend)
+        section = PathSection(
+            rate.seconds(_counted(curve)), lambda state: curve.part(state.tool_vector_actual.tolist())
+        )
+        return section, rate
 
     def _check_corner(self, rows: FloatArray, before: float, after: float) -> None:
         """Check the blend at the beginning of a segment, and keep the positions of the blend zone at its end.
@@ -383,28 +398,35 @@ class _Planner:
         assert self._limited is not None
         places = self._arm.forward(rows, self._tcp)[:, :3]
         if before > 0.0:
-            # The blend may end further from the corner than it has begun (assumed: up to twice as far).
-            near = np.linalg.norm(places - places[0], axis=1) <= 2.0 * before
+            near = np.linalg.norm(places - places[0], axis=1) <= _ENDS_LATER * before
             self._limited.check_corner(self._zone, rows[0], _thinned(rows[near]))
         self._zone = _thinned(rows[np.linalg.norm(places - places[-1], axis=1) <= after])
 
     @staticmethod
     def _check_limits(
-        limited: LimitedArm, curve: Curve, rows: FloatArray, rate: Rates, starts_fast: bool, ends_fast: bool
+        limited: LimitedArm,
+        curve: Curve,
+        rows: FloatArray,
+        speed: float,
+        acceleration: float,
+        *,
+        starts_fast: bool = False,
+        ends_fast: bool = False,
+        zones: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         """Compare the motion along a curve with the limits of the session."""
         way, steps = _counted(curve), len(rows) - 1
         if way == 0.0:
             return
         parts = np.linspace(0.0, 1.0, steps + 1)
-        speeds = speed_along(parts, way, rate.speed, rate.acceleration, starts_fast, ends_fast)
+        speeds = speed_along(parts, way, speed, acceleration, starts_fast, ends_fast) * limited.is_beyond(rows, zones)
         limited.check(rows)
         limited.limits.check_tool_speeds(speeds * curve.length / way)
         middles = np.maximum(speeds[1:], speeds[:-1])[:, np.newaxis]
         limited.limits.check_joint_speeds(np.diff(rows, axis=0) * (steps / way) * middles)
 
-    def _follow(self, curve: Curve, rate: Rates, before: float, after: float) -> FloatArray:
-        """Check that the arm can follow the curve, and return the joint positions at its end.
+    def _follow(self, curve: Curve, rate: Rates, before: float, after: float) -> tuple[FloatArray, Rates]:
+        """Check that the arm can follow the curve; return the joint positions at its end, and its rates (`_slowed`).
 
         Args:
             curve: Path of the tool.
@@ -447,10 +469,10 @@ class _Planner:
             speed = _speed_along(way, rate, steps, before > 0.0, after > 0.0)
             self._check_speeds(turns * (steps / way) * speed, parts)
         if self._limited is not None:
-            self._check_limits(self._limited, curve, rows, rate, before > 0.0, after > 0.0)
+            rate = _slowed(rate, before, after, partial(self._check_limits, self._limited, curve, rows))
             self._check_corner(rows, before, after)
         end: FloatArray = rows[-1]
-        return end
+        return end, rate
 
     def _check_speeds(self, speeds: FloatArray, parts: FloatArray) -> None:
         """Raise an error if a joint would be too fast.
@@ -470,6 +492,38 @@ class _Planner:
                 f"{JOINTS[joint]} would have to turn at {speeds[row, joint]:.2f} rad/s at {parts[row]:.0%} of the "
                 f"path; the limit of a {model.name} is {model.max_speed[joint]:.2f} rad/s"
             )
+
+
+def _slowed(rate: Rates, before: float, after: float, check: Callable[..., None]) -> Rates:
+    """Return the rates of a segment in a session with limits, after they have been compared with the limits.
+
+    The speed in a blend is not published, so the arm might have its whole speed there. If only this exceeds a limit of
+    speed, the segment gets a lower speed.
+
+    Args:
+        rate: Rates of the segment.
+        before, after: Radii of the blends at both ends, in m.
+        check: Function that compares the segment with the limits, like `LimitedArm.check_joint_way`.
+
+    Raises:
+        LimitExceeded: If the segment exceeds a limit beyond its blends, or even at a low speed.
+    """
+    fast = {"starts_fast": before > 0.0, "ends_fast": after > 0.0}
+    try:
+        check(rate.speed, rate.acceleration, **fast)
+    except LimitExceeded as error:
+        if not (before or after) or error.limit == "box":
+            raise
+        refusal = error
+    else:
+        return rate
+    check(rate.speed, rate.acceleration, zones=(_ENDS_LATER * before, after))
+    for share in _SLOWER:
+        slower = replace(rate, speed=share * rate.speed)
+        with contextlib.suppress(LimitExceeded):
+            check(slower.speed, slower.acceleration, **fast)
+            return slower
+    raise refusal
 
 
 def way_to(limited: LimitedArm, pose: FloatArray) -> float:

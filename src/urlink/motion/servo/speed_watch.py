@@ -42,4 +42,4 @@ class SpeedWatch:
         if self._is_tool:
             limited.check_tool_stop(speeds, self._acceleration, seconds)
         else:
-            limited.check_joint_speed(speeds, self._acceleration, seconds)
+            limited.check_joint_stop(speeds, self._acceleration, seconds)
