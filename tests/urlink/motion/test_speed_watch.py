@@ -155,3 +155,17 @@ def test_speed_watch_refuses_tool_speeds_like_slow_check() -> None:
         assert found[-1] == stops_tool(limited, xd, acceleration)
     for limit in (None, "box", "joint_speed", "tool_speed"):
         assert found.count(limit) > 15, limit
+
+
+def test_watch_stops_an_arm_that_yields_to_forces_just_below_the_limit_of_a_joint() -> None:
+    """In force mode, the joints become faster close to a singularity, until the arm brakes."""
+    arm = Arm("UR5")
+    identity = SimpleNamespace(arm=arm.model, kinematics=arm, firmware=SimpleNamespace(rate=125.0))
+    who: Any = SimpleNamespace(identity=identity)
+    state: Any = SimpleNamespace(q_target=READY, qd_target=np.zeros(6))
+    limited = LimitedArm(SessionLimits(joint_speed=1.0), who, state, lambda arm, state: np.zeros(6))
+    slow, fast = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.97]), np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.99])
+    limited.watch(READY, fast)
+    limited.watch(READY, slow, yields=True)
+    with pytest.raises(LimitExceeded, match=r"wrist 3 \(joint 5\) would turn at 1\.01 rad/s"):
+        limited.watch(READY, fast, yields=True)

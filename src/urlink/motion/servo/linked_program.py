@@ -259,7 +259,7 @@ class LinkedProgram:
         now = self._clock()
         self._seen = now
         if self._watched is not None and not self.is_finishing:
-            self._watched.watch(state.q_actual, state.qd_actual)
+            self._watched.watch(state.q_actual, state.qd_actual, yields=self._life.name == "force_mode")
         self._passed += self._controller.passed(state.time, now)
         lost, braked = self._life.happened(Event.LOSE), self._life.happened(Event.BRAKE)
         if self._life.happened(Event.SETTLE):
