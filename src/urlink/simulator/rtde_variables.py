@@ -79,6 +79,11 @@ def _tool_analog_types(state: ControllerState) -> int:
     return first | second << 1
 
 
+def timestamp_at(time: float) -> float:
+    """Return `timestamp` at a time since the controller came up, both in s."""
+    return UPTIME + time
+
+
 def robot_current(state: ControllerState) -> float:
     """Return the robot current, in A."""
     return current_of(state.arm.sample, state.arm.motors.torque_constants, state.modes.is_powered)
@@ -123,7 +128,7 @@ def execution_time_of(is_e_series: bool, program_state: ProgramState) -> float:
 
 def _outputs() -> dict[str, Output]:
     found = dict[str, Output](
-        timestamp=lambda s: UPTIME + s.time,
+        timestamp=lambda s: timestamp_at(s.time),
         target_q=lambda s: s.arm.sample.q_target,
         target_qd=lambda s: s.arm.sample.qd_target,
         target_qdd=lambda s: s.arm.sample.qdd_target,

@@ -276,6 +276,10 @@ class ControllerState:
         """Time since the controller came up, in s: a whole number of cycles."""
         return self.uptime / self.rate
 
+    def time_of(self, cycle: int) -> float:
+        """Return `time` in a cycle since the controller came up, in s."""
+        return (self.uptime - self.cycle + cycle) / self.rate
+
     @property
     def is_up(self) -> bool:
         """Whether the controller is up; False during a reboot."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,12 +14,15 @@ from hypothesis import strategies as st
 
 import urlink
 from linkcore.clock import Stamp
+from linkcore.deferred import Deferred, SteadyBytes
 from linkcore.simulated import Simulation
+from tests.urlink.simulator.rtde_peer import Peer, step
 from urlink.protocol.enums import SafetyMode
 from urlink.protocol.primary.robot_state import JointData, RobotModeData
 from urlink.protocol.realtime.packets import RealtimeState
 from urlink.rtde.claims import HOLD
 from urlink.simulator import Controller, server
+from urlink.simulator.interfaces.interface import InterfaceReceiver
 
 NAMES = list(RealtimeState.FIELDS)
 FIRMWARE = ["1.8", "3.1", "3.15", "5.3", "5.11", "10.7"]
@@ -401,6 +404,40 @@ def test_outputs_are_released_in_time_while_the_controller_runs_ahead(firmware: 
         assert len(sessions) == 1
         time.sleep(0.15)
         assert not sessions
+
+
+class Batches:
+    """Client of the RTDE interface that keeps the packages that were sent to it before they were due."""
+
+    last_quiet_cycle = 10_000
+
+    def __init__(self, receiver: InterfaceReceiver) -> None:
+        self.receiver = receiver
+        self.sent: dict[int, bytes] = {}
+
+    def send_batch(self, packets: Sequence[Deferred | SteadyBytes], cycles: Sequence[int]) -> None:
+        self.sent.update(zip(cycles, map(bytes, packets), strict=True))
+
+
+@pytest.mark.parametrize("frequency", [50.0, 500.0])
+def test_time_that_is_sent_ahead_equals_the_time_that_is_sent_in_its_cycle(frequency: float) -> None:
+    expected: dict[int, bytes] = {}
+    on_time, ahead = Controller(firmware="5.11"), Controller(firmware="5.11")
+    for controller in (on_time, ahead):
+        peer = Peer(controller)
+        peer.outputs("timestamp", frequency=frequency)
+        peer.ask("S")
+        if controller is on_time:
+            for _ in range(100):
+                step(controller)
+                if peer.sent:
+                    expected[controller.cycle] = bytes(peer.sent)
+                    peer.sent.clear()
+    client = Batches(peer.session)
+    ahead.step(100)
+    ahead.rtde.send_ahead(ahead.cycle, None, [client])
+    assert client.sent == expected
+    assert len(expected) == round(100 * frequency / 500)
 
 
 @pytest.mark.simulated_time

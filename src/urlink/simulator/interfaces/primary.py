@@ -166,8 +166,7 @@ class StatePackages:
         state, packages = self._state, {}
         due = self.next_cycle(cycle - 1)
         while due <= last:
-            time = (state.uptime - state.cycle + due) / state.rate
-            measured = Measured(samples[due - cycle], time, state, state.modes.is_powered)
+            measured = Measured(samples[due - cycle], state.time_of(due), state, state.modes.is_powered)
             packages[due] = self._package(self._shown, measured, is_steady=True)
             due = self.next_cycle(due)
         return packages

@@ -64,7 +64,7 @@ from urlink.protocol.rtde.variables import IN_USE, INPUTS, NOT_FOUND, OUTPUTS, V
 
 from ..registers import FIELDBUSES
 from ..robot.sensors import Samples
-from ..rtde_variables import OUTPUT_VALUES, write_inputs
+from ..rtde_variables import OUTPUT_VALUES, timestamp_at, write_inputs
 from ..state import ControllerState
 from .interface import BatchClient, Form, Interface, InterfaceClient, InterfaceReceiver
 
@@ -191,7 +191,7 @@ class _Outputs:
     def steady_package(self, time: float) -> SteadyBytes:
         """Return the package at a time of the controller, in s, if `is_steady` is true."""
         ((key, _),) = self._values
-        return SteadyBytes(self._form.pack({key: time}))
+        return SteadyBytes(self._form.pack({key: timestamp_at(time)}))
 
 
 class RtdeSession(InterfaceReceiver):
@@ -414,8 +414,7 @@ class RtdeSession(InterfaceReceiver):
         if not self.is_started or outputs is None or self._due > cycle:
             return
         due = range(self._due, cycle + 1, outputs.step)
-        times = [(state.uptime - state.cycle + each) / state.rate for each in due]
-        client.send_batch([outputs.steady_package(time) for time in times], due)
+        client.send_batch([outputs.steady_package(state.time_of(each)) for each in due], due)
         self._due = due[-1] + outputs.step
 
     def _send_data(self) -> None:
