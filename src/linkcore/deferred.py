@@ -13,7 +13,7 @@ the bytes are made at once.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 #: Longest time that the packets of a `DeferredBatch` cover, in s.
 LONGEST_BATCH = 0.128
@@ -93,3 +93,11 @@ class DeferredBatch(Deferred, Generic[D]):
 
     def __bytes__(self) -> bytes:
         return b"".join(map(bytes, self.packets))
+
+
+class Unread:
+    """Packet with parts that a simulated peer has sent. It is only made if somebody asks for it."""
+
+    def read(self) -> Any:
+        """Return the packet."""
+        raise NotImplementedError

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from ..clock import Stamp
+from ..deferred import Unread
 from .connection_life import Chunk, ConnectionEvent, Traffic
 from .subscription import Delivery, InlineDelivery
 
@@ -40,13 +41,6 @@ class Sink(Protocol):
 
     def close(self) -> None:
         """Accept no more packets, and drop queued packets."""
-
-
-class Unread(Protocol):
-    """Packet with parts that a simulated peer has sent, and that is only made if somebody asks for it."""
-
-    def read(self) -> Any:
-        """Return the packet."""
 
 
 class _Route(NamedTuple):
@@ -98,7 +92,7 @@ class FanOut:
         self.taps: tuple[Sink, ...] = ()
         self._last: Any = None  # the newest packet, only for streams whose packets have no parts
         self._newest: dict[type, tuple[int, Any]] = {}
-        # Newest packet of a simulated peer, until somebody asks for its parts; see `Unread`.
+        # Newest packet of a simulated peer, until somebody asks for its parts.
         self._unread: Unread | None = None
         self._number = 0
 
@@ -116,7 +110,8 @@ class FanOut:
 
         Args:
             packets: Packets.
-            is_steady: Whether the packets are steady, and `takes_at_once` has just returned True.
+            is_steady: Whether the packets are steady, and `takes_at_once` has just returned True. If the packets are
+                `Unread`, `takes_batches` has returned True.
 
         Each packet goes to all inline callbacks before the next packet does, because one callback might depend on the
         result of another one. For example, a stop and the start of a program might arrive in the same bytes, and a
@@ -124,7 +119,7 @@ class FanOut:
         """
         if self._parts is None:
             self._last = packets[-1]
-        elif is_steady and hasattr(packets[-1], "read"):
+        elif is_steady and isinstance(packets[-1], Unread):
             self._unread = packets[-1]
         else:
             self._read()

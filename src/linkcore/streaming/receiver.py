@@ -176,8 +176,6 @@ class DeferredReceiver(Receiver):
         self._take: Callable[[DeferredPacket, Stamp], Any] | None = take
         self._take_steady: Callable[[Deferred, Stamp], Any] | None = steady
         self.leaves_unread = steady is not None
-        if steady is None:
-            self.feed_steady = self.feed  # type: ignore[method-assign]
 
     def is_next(self, data: Deferred | SteadyBytes) -> bool:
         """Whether a packet directly follows the last one of this connection. Otherwise it might not be steady."""
@@ -199,16 +197,17 @@ class DeferredReceiver(Receiver):
 
     def feed_steady(self, data: Deferred | SteadyBytes, stamp: Stamp) -> Sequence[Any]:
         """Do the same for steady packets of which no subscriber needs more than the time of the last one."""
-        parts = zip(data.packets, data.ages, strict=True) if isinstance(data, DeferredBatch) else [(data, 0.0)]
-        take, states = self._take_steady, []
-        for packet, age in parts:
-            state = None
-            if take is not None and isinstance(packet, Deferred):
-                state = take(packet, Stamp(stamp.monotonic - age, stamp.wall - age) if age else stamp)
+        take = self._take_steady
+        if take is None or isinstance(data, SteadyBytes):
+            return self.feed(data, stamp)
+        packets, ages = (data.packets, data.ages) if isinstance(data, DeferredBatch) else ((data,), (0.0,))
+        states = []
+        for packet, age in zip(packets, ages, strict=True):
+            state = take(packet, Stamp(stamp.monotonic - age, stamp.wall - age) if age else stamp)
             if state is None:
                 return self.feed(data, stamp)
             states.append(state)
-        return self._taken(data, data.first if isinstance(data, DeferredBatch) else data, states, stamp)
+        return self._taken(data, packets[0], states, stamp)
 
     def _taken(self, data: Any, first: Any, states: Sequence[Any], stamp: Stamp) -> Sequence[Any]:
         """Count packets whose bytes were not made; return their states."""

@@ -18,7 +18,7 @@ import struct
 from collections.abc import Callable
 
 from linkcore.clock import Stamp
-from linkcore.deferred import Deferred
+from linkcore.deferred import Deferred, Unread
 from linkcore.wire.cycles import MissedCycles
 from linkcore.wire.framing import Framer
 from linkcore.wire.packet import State
@@ -227,7 +227,7 @@ class PrimaryProtocol:
         return DeferredRobotState(package, stamp, self._decoder.decode)
 
 
-class DeferredRobotState:
+class DeferredRobotState(Unread):
     """Robot state of a simulated controller, whose bytes are made and decoded if somebody asks for it.
 
     Args:
