@@ -307,7 +307,8 @@ class LimitedArm:
         poses = [pose]
         for step in range(n):
             wanted = xd if (step + 0.5) * dt <= seconds else np.zeros(6)
-            new = np.concatenate([_towards(velocity[part], wanted[part], acceleration * dt) for part in _LINE_AND_TURN])
+            before, goal = velocity.tolist(), wanted.tolist()
+            new = np.array([v for p in _LINE_AND_TURN for v in _towards(before[p], goal[p], acceleration * dt)])
             way = (0.5 * dt * (velocity + new)).tolist()
             velocity = new
             place = [a + b for a, b in zip(pose[:3], way[:3], strict=True)]
@@ -331,7 +332,7 @@ class LimitedArm:
         q, jacobian = self.q, self.arm.jacobian(self.q, self.tcp)
         before: list[float] = (jacobian @ self.qd).tolist()
         goal, most = xd.tolist(), acceleration * seconds
-        reached = [value for part in _LINE_AND_TURN for value in _closer(before[part], goal[part], most)]
+        reached = [value for part in _LINE_AND_TURN for value in _towards(before[part], goal[part], most)]
         line, turn = (math.hypot(*reached[part]) for part in _LINE_AND_TURN)
         if self.limits.box is not None:
             rise = min(math.dist(reached[:3], before[:3]) / acceleration, seconds)
@@ -586,7 +587,7 @@ def _between(times: FloatArray, places: int) -> FloatArray:
     return np.append(inner, times[-1])
 
 
-def _closer(now: list[float], target: list[float], most: float) -> list[float]:
+def _towards(now: list[float], target: list[float], most: float) -> list[float]:
     """Return `now`, changed towards the target by at most `most`."""
     distance = math.dist(now, target)
     return target if distance <= most else [a + most / distance * (b - a) for a, b in zip(now, target, strict=True)]
@@ -610,10 +611,3 @@ def _until_rest(
     for speed, length in ((before, 0.5 * rise), (reached, 0.5 * rise), (reached, seconds - rise + 0.5 * braking)):
         points.append([a + length * v for a, v in zip(points[-1], speed, strict=True)])
     return points
-
-
-def _towards(now: FloatArray, target: FloatArray, most: float) -> FloatArray:
-    """Return `now`, changed towards the target by at most `most`."""
-    way = target - now
-    distance = float(np.linalg.norm(way))
-    return target if distance <= most else now + most / distance * way
