@@ -157,7 +157,7 @@ def test_speed_watch_refuses_tool_speeds_like_slow_check() -> None:
         assert found.count(limit) > 15, limit
 
 
-def test_watch_stops_an_arm_that_yields_to_forces_just_below_the_limit_of_a_joint() -> None:
+def test_watch_stops_a_yielding_arm_below_the_limit_of_a_joint() -> None:
     """In force mode, the joints become faster close to a singularity, until the arm brakes."""
     arm = Arm("UR5")
     identity = SimpleNamespace(arm=arm.model, kinematics=arm, firmware=SimpleNamespace(rate=125.0))

@@ -328,7 +328,7 @@ def test_state_stays_fresh_while_only_its_time_changes() -> None:
 
 
 @pytest.mark.parametrize("firmware", FIRMWARE)
-def test_robot_state_has_the_values_of_its_cycle_when_it_is_read_later(firmware: str) -> None:
+def test_robot_state_read_later_has_the_values_of_its_cycle(firmware: str) -> None:
     controller = Controller(firmware=firmware)
     controller.take("movej([0.1, -1.5, 1.5, -1.6, -1.6, 0.2], a=5, v=3)\n")
     controller.step(50)
@@ -342,7 +342,7 @@ def test_robot_state_has_the_values_of_its_cycle_when_it_is_read_later(firmware:
     assert (len(state), state.head) == (len(expected), expected[: len(state.head)])
 
 
-def test_robot_state_is_steady_only_after_one_with_the_same_modes_and_signals() -> None:
+def test_robot_state_is_steady_after_the_same_modes_and_signals() -> None:
     controller = Controller(firmware="5.11")
     states = controller._states
 
@@ -395,7 +395,7 @@ def test_newest_robot_state_is_current_while_nobody_reads_states(firmware: str) 
 
 @pytest.mark.simulated_time
 @pytest.mark.parametrize("firmware", ["3.15", "5.11"])
-def test_outputs_are_released_in_time_while_the_controller_runs_ahead(firmware: str) -> None:
+def test_outputs_are_released_while_the_controller_runs_ahead(firmware: str) -> None:
     with urlink.connect(f"sim://?firmware={firmware}") as robot:
         robot.motion.move_joints(HOME).wait()
         robot.io.set_digital_out(0, True)
@@ -420,7 +420,7 @@ class Batches:
 
 
 @pytest.mark.parametrize("frequency", [50.0, 500.0])
-def test_time_that_is_sent_ahead_equals_the_time_that_is_sent_in_its_cycle(frequency: float) -> None:
+def test_time_sent_ahead_equals_the_time_sent_in_its_cycle(frequency: float) -> None:
     expected: dict[int, bytes] = {}
     on_time, ahead = Controller(firmware="5.11"), Controller(firmware="5.11")
     for controller in (on_time, ahead):
