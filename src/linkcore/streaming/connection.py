@@ -327,9 +327,14 @@ class Connection:
         deadline: float | None = None,
         on_deadline: Callable[[float], object] | None = None,
         gather: float = 0.0,
+        in_place: Callable[[Any], bool] | None = None,
         owner: object = None,
     ) -> Subscription:
         """Subscribe a callback with a dedicated thread and a dedicated queue.
+
+        Args:
+            kind, callback, policy, lifespan, deadline, on_deadline, owner: See `Feed.subscribe`.
+            gather, in_place: See `ThreadedDelivery`.
 
         Raises:
             RemoteError, Closed: See `start`.
@@ -338,7 +343,7 @@ class Connection:
         queue = self.open_queue(kind, policy, lifespan)
         options = self._options(kind, deadline, on_deadline)
         try:
-            delivery = ThreadedDelivery(queue, callback, gather=gather, **options)
+            delivery = ThreadedDelivery(queue, callback, gather=gather, in_place=in_place, **options)
         except LocalError:
             self.close_queue(queue)
             raise

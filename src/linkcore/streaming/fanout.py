@@ -36,6 +36,9 @@ class Sink(Protocol):
     def offer(self, packets: Sequence[Any]) -> None:
         """Accept packets."""
 
+    def offer_steady(self, packets: Sequence[Any]) -> None:
+        """Accept steady packets; see `FanOut.publish`."""
+
     def end(self) -> None:
         """Accept no more packets; queued packets are still delivered."""
 
@@ -47,6 +50,7 @@ class _Route(NamedTuple):
     sink: Sink
     group: type
     offer: _Offer
+    offer_steady: _Offer
 
 
 class FanOut:
@@ -220,12 +224,15 @@ class FanOut:
         """Start to offer to `sink` each packet that is or contains a `kind`."""
         group: type = object
         offer: _Offer = sink.offer
+        offer_steady: _Offer = sink.offer_steady
         if kind in (Traffic, ConnectionEvent):
             group = kind
         elif kind is not self._kind or self._parts is not None:
             offer = self._filtered(kind, sink)
+            if not sink.is_inline:
+                offer_steady = offer
         with self._lock:
-            self._routes[_Route(sink, group, offer)] = None
+            self._routes[_Route(sink, group, offer, offer_steady)] = None
             self._update()
 
     def _filtered(self, kind: type, sink: Sink) -> _Offer:
@@ -273,7 +280,7 @@ class FanOut:
             self._inline = tuple([sink for sink in (route.sink for route in last) if isinstance(sink, InlineDelivery)])
             self._has_queues = bool(first)
             self._makes_reader_wait = any(route.sink.makes_reader_wait for route in first)
-            self._steady = queues + tuple([sink.offer_steady for sink in self._inline])
+            self._steady = tuple([route.offer_steady for route in first + last])
             self.taps = tuple([route.sink for route in known if route.group is Traffic])
 
     # -- callbacks -------------------------------------------------------------------------------

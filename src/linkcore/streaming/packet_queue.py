@@ -134,6 +134,9 @@ class BoundedQueue(abc.ABC):
             delivered.
         makes_reader_wait: Whether the reader waits when the queue is full, so that no packet is dropped.
         is_over: Whether the queue was closed, or no more packets will arrive and all were taken.
+        take_in_place: Function that processes steady packets of a simulated peer in place of the consumer, which
+            currently waits. It must not wait. It returns False if the consumer must process the packets. None if there
+            is no such function.
     """
 
     #: A queue never delays another queue, so the reader serves queues before the callbacks that it calls itself.
@@ -144,6 +147,7 @@ class BoundedQueue(abc.ABC):
         self.taken = self.expired = 0  # incremented by the consumer
         self.makes_reader_wait = policy.makes_reader_wait
         self.is_over = False
+        self.take_in_place: Callable[[Sequence[Any]], bool] | None = None
         self._lifespan = lifespan
         self._limit = policy.limit
         self._drop = policy.drop
@@ -203,6 +207,15 @@ class BoundedQueue(abc.ABC):
             self._wake_consumer()
         if self.is_over:  # it was closed meanwhile, or its consumer has just ended
             self._discard()
+
+    def offer_steady(self, packets: Sequence[Any]) -> None:
+        """Do the same for steady packets, which `take_in_place` might process."""
+        take = self.take_in_place
+        if take is None or not self._consumer_sleeps or self._packets or self._is_ended or not take(packets):
+            self.offer(packets)
+        else:
+            self.offered += len(packets)
+            self.taken += len(packets)
 
     def end(self) -> None:
         """Accept no more packets; queued packets can still be taken. Idempotent."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Sequence
 
 import pytest
 from hypothesis import strategies as st
@@ -153,6 +154,31 @@ def test_end_and_close_wake_a_waiting_consumer(policy: Policy, finish: str) -> N
     getattr(queue, finish)()
     thread.join(10)
     assert not thread.is_alive()
+
+
+def test_steady_packets_are_processed_in_place_of_a_waiting_consumer() -> None:
+    queue, seen = PacketQueue(latest), []
+    accepts = True
+
+    def take(packets: Sequence[object]) -> bool:
+        seen.append(list(packets))
+        return accepts
+
+    queue.take_in_place = take
+    queue.offer_steady([1])  # the consumer does not wait yet
+    assert [seen, queue.waiting] == [[], 1]
+    thread, taken = consume(queue)
+    until(lambda: queue._consumer_sleeps)
+    queue.offer_steady([2])
+    accepts = False
+    queue.offer_steady([3])
+    until(lambda: taken == [1, 3])
+    assert seen == [[2], [3]]
+    assert (queue.offered, queue.taken, queue.dropped) == (3, 3, 0)
+    queue.close()
+    thread.join(10)
+    queue.offer_steady([4])
+    assert [seen, queue.offered] == [[[2], [3]], 3]
 
 
 def test_block_policy_waits_for_room_and_drops_nothing() -> None:

@@ -38,9 +38,10 @@ class States:
         self._stream = stream
         self.latest: Any = None
         self.subscriptions: list[Subscription] = []
+        self._connection = self
 
     def subscribe(self, *arguments: Any, **options: Any) -> Subscription:
-        self.subscriptions.append(self._stream.subscribe(*arguments, **options))
+        self.subscriptions.append(self._stream._connection.subscribe(*arguments, owner=self._stream, **options))
         return self.subscriptions[-1]
 
 
@@ -489,3 +490,36 @@ def test_link_callback_is_removed_when_the_program_ends(talk: Talk) -> None:
     talk.motion.cancel()
     gc.collect()
     assert talk.callback() is None
+
+
+def test_steady_state_is_processed_in_place_while_the_loop_sends_the_messages(talk: Talk) -> None:
+    talk.begin().look()
+    takes, state = talk.program._takes_steady, cast(RealtimeState, talk.robot.realtime.latest)
+    link, steps = cast(Any, talk), len(talk.steps)
+    assert not takes(link, state)
+    assert len(talk.steps) == steps
+    talk.is_mute, talk.answer = True, b""
+    talk.now += 5.0
+    assert takes(link, state)
+    assert talk.steps[-1] == (b"", talk.now)
+    assert talk.program._seen == talk.now
+
+
+@pytest.mark.parametrize("what", ["paused", "resumed", "lost", "finishing", "ended"])
+def test_thread_processes_a_steady_state_that_may_need_a_message(talk: Talk, what: str) -> None:
+    talk.begin().look()
+    talk.is_mute, talk.answer = True, b""
+    if what == "paused":
+        talk.pause.holds = True
+    elif what == "resumed":
+        talk.pause.is_over = True
+    elif what == "lost":
+        talk.loss = ConnectionLost("cable")
+    elif what == "finishing":
+        talk.program.finish()
+    else:
+        talk.motion.cancel()
+    seen = talk.program._seen
+    talk.now += 5.0
+    assert not talk.program._takes_steady(cast(Any, talk), cast(RealtimeState, talk.robot.realtime.latest))
+    assert talk.program._seen == seen

@@ -213,7 +213,7 @@ def test_program_waits_until_loop_sends() -> None:
     servo = leading()
     assert servo.step(b"", seen(50.0, q=0.3), 1000.0) == WAIT_MESSAGE
     assert servo.here == turned(0.3)
-    servo.has_begun = True
+    servo.is_mute = True
     assert servo.step(b"", seen(50.002, q=0.4), 1000.002) == b""
     assert servo.here == turned(0.3)
 
@@ -238,7 +238,7 @@ def test_program_time_starts_slowly_after_pause() -> None:
     servo.step(b"", seen(50.0), 1000.0)
     servo.resume(seen(60.0, q=0.2))
     assert not servo.begins_anew  # it had not begun
-    servo.has_begun = True
+    servo.is_mute = True
     servo.resume(seen(60.0, q=0.3))
     assert (servo.here, servo.begins_anew) == (turned(0.3), True)
     servo.step(b"", seen(60.0), 1010.0)
@@ -252,7 +252,7 @@ def test_source_of_set_points_is_notified_of_pause() -> None:
     resumed: list[RealtimeState] = []
     resampled = SimpleNamespace(resume=resumed.append)
     servo, state = leading(cast(ResampledSetpoints, resampled)), seen(60.0)
-    servo.has_begun = True
+    servo.is_mute = True
     servo.resume(state)
     assert resumed == [state]
     assert not servo.begins_anew

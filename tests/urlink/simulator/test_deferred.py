@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -17,7 +18,8 @@ from linkcore.clock import Stamp
 from linkcore.deferred import Deferred, SteadyBytes
 from linkcore.simulated import Simulation
 from tests.urlink.simulator.rtde_peer import Peer, step
-from urlink.protocol.enums import SafetyMode
+from urlink.motion.servo.linked_program import LinkedProgram
+from urlink.protocol.enums import ProgramState, SafetyMode
 from urlink.protocol.primary.robot_state import JointData, RobotModeData
 from urlink.protocol.realtime.packets import RealtimeState
 from urlink.rtde.claims import HOLD
@@ -160,6 +162,45 @@ def test_stop_of_a_callback_takes_effect_in_the_next_cycles() -> None:
         with robot.realtime.subscribe(look):
             robot.motion.move_joints(AWAY, speed=2.0, acceleration=5.0).wait()
     assert max(lags) < 1e-9
+
+
+@pytest.mark.simulated_time
+def test_servo_needs_no_second_thread_for_its_states(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a servo loop, steady states are processed in place of the thread that answers states."""
+    look, looks = LinkedProgram._look, []
+
+    def counting(self: LinkedProgram, link: Any, sent: float, state: RealtimeState) -> None:
+        looks.append(state.time)
+        look(self, link, sent, state)
+
+    monkeypatch.setattr(LinkedProgram, "_look", counting)
+    with urlink.connect("sim://?firmware=5.11") as robot, robot.motion.servo() as servo:
+        q = robot.realtime.wait(1.0).q_target.copy()
+        begin = q[5]
+
+        def move(there: float, back: float, cycles: int) -> None:
+            for cycle in range(cycles + 1):
+                robot.realtime.wait(1.0)
+                share = 0.5 - 0.5 * math.cos(math.pi * cycle / cycles)
+                q[5] = begin + there + share * (back - there)
+                servo.send(q)
+
+        move(0.0, 0.3, 300)
+        move(0.3, 0.3, 50)
+        assert len(looks) < 20
+        robot.dashboard.pause()
+        robot.realtime.wait_until(lambda state: state.program_state == ProgramState.PAUSED)
+        assert servo._program.is_paused
+        time.sleep(0.2)
+        robot.dashboard.play()
+        robot.realtime.wait_until(lambda state: state.program_state == ProgramState.PLAYING)
+        move(0.3, 0.3, 300)
+        paused = len(looks)
+        move(0.3, 0.0, 300)
+        # Only the states of the pause, and the first ones after it, are for the thread.
+        assert 20 < paused == len(looks) < 200
+        move(0.0, 0.0, 50)
+        assert robot.realtime.wait(1.0).q_target[5] == pytest.approx(begin, abs=1e-3)
 
 
 @pytest.mark.simulated_time

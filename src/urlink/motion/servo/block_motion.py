@@ -159,13 +159,11 @@ class KeptMessage(LinkDialogue):
 
     Attributes:
         values: Values of the message. Any thread may set them.
-        is_mute: Whether this dialogue no longer answers states, because the user's loop sends the messages.
     """
 
     def __init__(self, write: Writer, values: Sequence[float] | None = None) -> None:
         super().__init__(write)
         self.values = values
-        self.is_mute = False
 
     def step(self, received: bytes, state: RealtimeState, now: float) -> bytes:
         if self.is_mute:

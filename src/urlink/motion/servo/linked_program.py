@@ -37,6 +37,8 @@ _GRACE = 1.0
 #: Time in s after the last message, on the controller's clock. After this time, the motion ends if the arm is at rest,
 #: even if the end of the program was not reported.
 _END_TIMEOUT = 1.0
+#: Events after which a motion will end.
+_ENDING = (Event.LOSE, Event.BRAKE, Event.SETTLE)
 
 
 def _nothing() -> None:
@@ -135,7 +137,9 @@ class LinkedProgram:
                 self._watched = context.limited_at_rest()
             self._link = link = self._open_link()
             on_state = partial(self._on_state, link, self._clock())
-            self._subscription = context.realtime.subscribe(on_state, policy=latest)
+            self._subscription = context.realtime._connection.subscribe(
+                RealtimeState, on_state, policy=latest, in_place=partial(self._takes_steady, link)
+            )
             life.on_end(self._release)
             context.programs.start(
                 # The program needs no start permission, because it cannot move the arm after the end of the motion: its
@@ -255,12 +259,33 @@ class LinkedProgram:
             self._life.fail(error, brake=True)
             raise
 
+    def _takes_steady(self, link: Link, state: RealtimeState) -> bool:
+        """Process a steady state of a simulated controller in place of the thread that answers states.
+
+        Return False if this thread must do it, because a message might have to be sent, or the motion might end.
+        """
+        life, pause = self._life, self._pause
+        if not (self._dialogue.is_mute and life.happened(Event.LINK)) or pause.holds or pause.is_over:
+            return False
+        if self._watched is not None or life.is_over or any(map(life.happened, _ENDING)):
+            return False
+        try:
+            received = link.received()
+        except ConnectionLost:
+            return False
+        self._dialogue.step(received, state, self._note(state))
+        return True
+
+    def _note(self, state: RealtimeState) -> float:
+        """Record the arrival of a state; return its time, in s of the monotonic clock."""
+        now = self._seen = self._clock()
+        self._passed += self._controller.passed(state.time, now)
+        return now
+
     def _look(self, link: Link, sent: float, state: RealtimeState) -> None:
-        now = self._clock()
-        self._seen = now
         if self._watched is not None and not self.is_finishing:
             self._watched.watch(state.q_actual, state.qd_actual, yields=self._life.name == "force_mode")
-        self._passed += self._controller.passed(state.time, now)
+        now = self._note(state)
         lost, braked = self._life.happened(Event.LOSE), self._life.happened(Event.BRAKE)
         if self._life.happened(Event.SETTLE):
             self._dialogue.step(b"", state, now)

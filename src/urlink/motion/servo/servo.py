@@ -80,7 +80,6 @@ class _Leading(LinkDialogue):
         self._behind = self._at = 0.0
         #: target positions of the arm before the first message, in rad
         self.here: list[float] | None = None
-        self.has_begun = False
         #: whether the next set-point is checked like the first one, because the program has been paused
         self.begins_anew = False
 
@@ -89,7 +88,7 @@ class _Leading(LinkDialogue):
         self._behind, self._at = self._behind + passed - scaled, now
         if self.resampled is not None:
             return self.resampled.answer(state, now)
-        if self.has_begun:
+        if self.is_mute:
             return b""
         self.here = state.q_target.tolist()
         return WAIT_MESSAGE
@@ -103,7 +102,7 @@ class _Leading(LinkDialogue):
         if self.resampled is not None:
             self.resampled.resume(state)
         else:
-            self.here, self.begins_anew = state.q_target.tolist(), self.has_begun
+            self.here, self.begins_anew = state.q_target.tolist(), self.is_mute
 
 
 @slider_by_use(
@@ -314,7 +313,7 @@ class Servo(BlockMotion):
 
     def _count_one(self, values: list[float], now: float) -> None:
         if self._last is None:
-            self._dialogue.has_begun = True
+            self._dialogue.is_mute = self._dialogue.resampled is None
             self._began = now
             self._count = 1
         else:

@@ -31,12 +31,15 @@ class LinkDialogue(ABC):
         survives_its_program: Whether the program may end on its own before the dialogue has ended.
         watchdog: Longest time without a message, in s, after which the program brakes; used in error messages. None if
             it is unknown.
+        is_mute: Whether this dialogue no longer answers states, because the user's loop sends the messages. `step` then
+            neither raises an error nor waits.
     """
 
     watchdog: float | None = None
     farewell = STOP_MESSAGE
     is_over = False
     survives_its_program = False
+    is_mute = False
 
     def __init__(self, write: Writer) -> None:
         self._write = write
