@@ -24,6 +24,8 @@ from struct import Struct
 from types import FrameType
 from typing import Any, Protocol, TypeVar
 
+from .processor import Processor
+
 T = TypeVar("T")
 
 #: Trace function for `sys.settrace`.
@@ -158,6 +160,7 @@ class Scheduler:
         #: Thread id of the running task.
         self.ident = 0
         self._tracer: Tracer | None = None
+        self._processor = Processor()
 
     # -- tasks -----------------------------------------------------------------------------------------
 
@@ -383,8 +386,12 @@ class Scheduler:
         if not self.is_ending:
             chosen = self._next()
             if chosen is not task:
-                self._hand_over(chosen)
-                self._take(task)
+                narrowed = self._processor.narrow()
+                try:
+                    self._hand_over(chosen)
+                    self._take(task)
+                finally:
+                    self._processor.widen(narrowed)
         if self.is_ending:
             task.endings += 1
             if task.endings > _ENDINGS:  # it catches every exception and continues: block it here
