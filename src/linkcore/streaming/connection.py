@@ -334,16 +334,18 @@ class Connection:
 
         Args:
             kind, callback, policy, lifespan, deadline, on_deadline, owner: See `Feed.subscribe`.
-            gather, in_place: See `ThreadedDelivery`.
+            gather: See `ThreadedDelivery`.
+            in_place: See `BoundedQueue.take_in_place`.
 
         Raises:
             RemoteError, Closed: See `start`.
             LocalError: See `start`. Also if the system has no thread left for the callback.
         """
         queue = self.open_queue(kind, policy, lifespan)
+        queue.take_in_place = in_place
         options = self._options(kind, deadline, on_deadline)
         try:
-            delivery = ThreadedDelivery(queue, callback, gather=gather, in_place=in_place, **options)
+            delivery = ThreadedDelivery(queue, callback, gather=gather, **options)
         except LocalError:
             self.close_queue(queue)
             raise

@@ -125,6 +125,11 @@ class Sent(NamedTuple):
     data: bytes
 
 
+def _memory(sent: Sent) -> int:
+    """Return the memory of one message in a record, in bytes."""
+    return len(sent.data) + 2 * OVERHEAD
+
+
 #: Maximum number of bytes that are kept of one sent message.
 LONGEST = 2048
 
@@ -140,25 +145,33 @@ class SentRecord:
         self._most = most
         self._entries: list[Sent] = []
         self._trim_at = _STEP
-        self._trimming = threading.RLock()  # re-entrant, because a signal handler might send
+        # Number of entries whose memory is counted, from the oldest one, and this memory in bytes. A record of ten
+        # seconds has thousands of entries, so `_trim` counts only the new ones.
+        self._counted = (0, 0)
+        self._trimming = threading.Lock()
 
     def keep(self, channel: str, data: bytes | memoryview) -> None:
         """Record the bytes of one call of `send`."""
         now = clock.now()
         self._entries.append(Sent(now, channel, bytes(data[:LONGEST])))
-        if len(self._entries) >= self._trim_at:
-            with self._trimming:
+        # While the lock is taken, another thread trims the record, or the code that a signal handler has interrupted.
+        if len(self._entries) >= self._trim_at and self._trimming.acquire(blocking=False):
+            try:
                 self._trim(now)
+            finally:
+                self._trimming.release()
 
     def _trim(self, now: float) -> None:
-        entries = list(self._entries)
-        size = sum(len(each.data) + 2 * OVERHEAD for each in entries)
-        first = 0
-        while first < len(entries) and (size > self._most or entries[first].time < now - SECONDS):
-            size -= len(entries[first].data) + 2 * OVERHEAD
+        entries = self._entries  # other threads only append entries
+        counted, size = self._counted
+        count, first = len(entries), 0
+        size += sum(map(_memory, entries[counted:count]))
+        while first < count and (size > self._most or entries[first].time < now - SECONDS):
+            size -= _memory(entries[first])
             first += 1
-        del self._entries[:first]
-        self._trim_at = len(self._entries) + _STEP
+        del entries[:first]
+        self._counted = (count - first, size)
+        self._trim_at = count - first + _STEP
 
     @property
     def messages(self) -> Sequence[Sent]:

@@ -134,9 +134,9 @@ class BoundedQueue(abc.ABC):
             delivered.
         makes_reader_wait: Whether the reader waits when the queue is full, so that no packet is dropped.
         is_over: Whether the queue was closed, or no more packets will arrive and all were taken.
-        take_in_place: Function that processes steady packets of a simulated peer in place of the consumer, which
-            currently waits. It must not wait. It returns False if the consumer must process the packets. None if there
-            is no such function.
+        take_in_place: Function that processes one steady packet of a simulated peer in place of the consumer, which
+            currently waits. It must neither wait nor raise an exception. It returns False if the consumer must process
+            the packet. None if there is no such function. A packet that it has processed does not count as offered.
     """
 
     #: A queue never delays another queue, so the reader serves queues before the callbacks that it calls itself.
@@ -147,7 +147,7 @@ class BoundedQueue(abc.ABC):
         self.taken = self.expired = 0  # incremented by the consumer
         self.makes_reader_wait = policy.makes_reader_wait
         self.is_over = False
-        self.take_in_place: Callable[[Sequence[Any]], bool] | None = None
+        self.take_in_place: Callable[[Any], bool] | None = None
         self._lifespan = lifespan
         self._limit = policy.limit
         self._drop = policy.drop
@@ -209,13 +209,11 @@ class BoundedQueue(abc.ABC):
             self._discard()
 
     def offer_steady(self, packets: Sequence[Any]) -> None:
-        """Do the same for steady packets, which `take_in_place` might process."""
+        """Do the same for steady packets. `take_in_place` might process a single packet."""
         take = self.take_in_place
-        if take is None or not self._consumer_sleeps or self._packets or self._is_ended or not take(packets):
+        is_waiting = self._consumer_sleeps and not (self._packets or self._is_ended)
+        if take is None or not is_waiting or len(packets) > 1 or not take(packets[0]):
             self.offer(packets)
-        else:
-            self.offered += len(packets)
-            self.taken += len(packets)
 
     def end(self) -> None:
         """Accept no more packets; queued packets can still be taken. Idempotent."""

@@ -187,9 +187,6 @@ class ThreadedDelivery(Delivery):
         callback: See `Delivery`.
         gather: Seconds for which packets are collected before they are delivered together. The reader then does not
             have to wake this thread for each packet.
-        in_place: Function that processes one steady packet of a simulated peer in place of this thread, while this
-            thread waits. It must neither wait nor raise an exception. It returns False if the callback must process the
-            packet. None if there is no such function.
 
     Raises:
         LocalError: If the system has no thread left.
@@ -201,27 +198,16 @@ class ThreadedDelivery(Delivery):
         callback: Callable[[Any], object],
         *,
         gather: float = 0.0,
-        in_place: Callable[[Any], bool] | None = None,
         **options: Any,
     ) -> None:
         super().__init__(callback, **options)
         self._queue = queue
         self._gather = gather
-        self._in_place = in_place
-        if in_place is not None:
-            queue.take_in_place = self._take_in_place
         self._thread = started(threading.Thread(target=self._run, name=self.name, daemon=True))
 
     @property
     def sink(self) -> PacketQueue:
         return self._queue
-
-    def _take_in_place(self, packets: Sequence[Any]) -> bool:
-        assert self._in_place is not None
-        if len(packets) > 1 or not self._in_place(packets[0]):
-            return False
-        self._delivered += 1
-        return True
 
     def close(self, timeout: float) -> None:
         self._queue.close()

@@ -5,6 +5,7 @@ import tracemalloc
 import pytest
 
 from linkcore import clock
+from linkcore.streaming import flight_record
 from linkcore.streaming.flight_record import LONGEST, SECONDS, FlightRecord, Received, SentRecord
 
 
@@ -62,3 +63,40 @@ def test_sent_record_is_limited_in_size_and_time(monkeypatch: pytest.MonkeyPatch
         record.keep("program", bytes(56))
     assert sum(len(each.data) + 192 for each in record.messages) <= 100_000 + 64 * 250
     assert record.messages[0].time >= now - SECONDS - 64 * 0.01
+
+
+def test_sent_record_counts_each_message_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Counting all messages again would delay a servo loop by a millisecond at regular times."""
+    count, memory = 0, flight_record._memory
+
+    def counting(sent: flight_record.Sent) -> int:
+        nonlocal count
+        count += 1
+        return memory(sent)
+
+    monkeypatch.setattr(flight_record, "_memory", counting)
+    record = SentRecord(1_000_000)
+    for _ in range(4096):
+        record.keep("program", bytes(56))
+    assert len(record.messages) == 1_000_000 // 248
+    # Once when they are added, and once when they are removed.
+    assert count == 4096 + 4096 - 1_000_000 // 248
+
+
+def test_sent_record_keeps_a_message_that_is_sent_while_it_is_trimmed(monkeypatch: pytest.MonkeyPatch) -> None:
+    record, memory = SentRecord(64 * 248), flight_record._memory
+    late = [bytes(100)]
+
+    def interrupted(sent: flight_record.Sent) -> int:
+        if late:
+            record.keep("program", late.pop())  # in a signal handler
+        return memory(sent)
+
+    monkeypatch.setattr(flight_record, "_memory", interrupted)
+    for _ in range(64):
+        record.keep("program", bytes(56))
+    assert [len(each.data) for each in record.messages] == [56] * 64 + [100]
+    for _ in range(128):
+        record.keep("program", bytes(56))
+    # All messages were counted, so the limit holds, apart from the messages since the last time.
+    assert sum(map(memory, record.messages)) <= (64 + 64) * 248

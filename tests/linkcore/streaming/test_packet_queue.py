@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
 
 import pytest
 from hypothesis import strategies as st
@@ -160,8 +159,8 @@ def test_steady_packets_are_processed_in_place_of_a_waiting_consumer() -> None:
     queue, seen = PacketQueue(latest), []
     accepts = True
 
-    def take(packets: Sequence[object]) -> bool:
-        seen.append(list(packets))
+    def take(packet: object) -> bool:
+        seen.append(packet)
         return accepts
 
     queue.take_in_place = take
@@ -170,15 +169,19 @@ def test_steady_packets_are_processed_in_place_of_a_waiting_consumer() -> None:
     thread, taken = consume(queue)
     until(lambda: queue._consumer_sleeps)
     queue.offer_steady([2])
+    until(lambda: queue._consumer_sleeps)
     accepts = False
     queue.offer_steady([3])
     until(lambda: taken == [1, 3])
-    assert seen == [[2], [3]]
-    assert (queue.offered, queue.taken, queue.dropped) == (3, 3, 0)
+    until(lambda: queue._consumer_sleeps)
+    queue.offer_steady([4, 5])  # with `latest`, only the newest one stays
+    until(lambda: taken == [1, 3, 5])
+    assert seen == [2, 3]
+    assert (queue.offered, queue.taken, queue.dropped) == (4, 3, 1)
     queue.close()
     thread.join(10)
-    queue.offer_steady([4])
-    assert [seen, queue.offered] == [[[2], [3]], 3]
+    queue.offer_steady([6])
+    assert [seen, queue.offered] == [[2, 3], 4]
 
 
 def test_block_policy_waits_for_room_and_drops_nothing() -> None:
