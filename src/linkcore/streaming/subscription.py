@@ -193,12 +193,7 @@ class ThreadedDelivery(Delivery):
     """
 
     def __init__(
-        self,
-        queue: PacketQueue,
-        callback: Callable[[Any], object],
-        *,
-        gather: float = 0.0,
-        **options: Any,
+        self, queue: PacketQueue, callback: Callable[[Any], object], *, gather: float = 0.0, **options: Any
     ) -> None:
         super().__init__(callback, **options)
         self._queue = queue
