@@ -60,6 +60,7 @@ SIMULATORS = ("linkcore.simulated", "urlink.simulator")
 REASONS = {
     "linkcore.clock:Expiry": "only servers of a robot use it, and a handler only calls their `stop`",
     "linkcore.streaming.packet_queue:BoundedQueue": "the lock is acquired without waiting",
+    "linkcore.streaming.flight_record:SentRecord": "the lock is acquired without waiting",
     "linkcore.recording.index:side_by_side": "only threads that read a file use it, and no handler waits for them",
     "urlink.motion.stream.common_time:CommonTime": "only threads that read streams acquire it",
     "urlink.motion.stream.common_time:CommonPace": "only threads that read streams acquire it",

@@ -145,11 +145,18 @@ class FanOut:
 
     def takes_batches(self) -> bool:
         """Whether no sink needs each of several steady packets at the time of its arrival."""
-        return not (self._has_queues or self.taps) and all(sink.only_changes() for sink in self._inline)
+        return not (self._has_queues or self.taps) and self._needs_only_changes()
 
     def takes_at_once(self) -> bool:
         """Whether no sink makes the reader wait, or calls a function of the user, for a steady packet."""
-        return not (self._makes_reader_wait or self.taps) and all(sink.only_changes() for sink in self._inline)
+        return not (self._makes_reader_wait or self.taps) and self._needs_only_changes()
+
+    def _needs_only_changes(self) -> bool:
+        """Whether no inline callback currently needs steady packets."""
+        for sink in self._inline:  # noqa: SIM110 -- this is called for each packet, and `all` would take twice as long
+            if not sink.only_changes():
+                return False
+        return True
 
     def tell(self, event: ConnectionEvent) -> None:
         """Publish a change of the connection."""

@@ -136,7 +136,8 @@ class BoundedQueue(abc.ABC):
         is_over: Whether the queue was closed, or no more packets will arrive and all were taken.
         take_in_place: Function that processes one steady packet of a simulated peer in place of the consumer, which
             currently waits. It must neither wait nor raise an exception. It returns False if the consumer must process
-            the packet. None if there is no such function. A packet that it has processed does not count as offered.
+            the packet. None if there is no such function.
+        taken_in_place: Number of packets among `taken` that `take_in_place` has processed.
     """
 
     #: A queue never delays another queue, so the reader serves queues before the callbacks that it calls itself.
@@ -148,6 +149,7 @@ class BoundedQueue(abc.ABC):
         self.makes_reader_wait = policy.makes_reader_wait
         self.is_over = False
         self.take_in_place: Callable[[Any], bool] | None = None
+        self.taken_in_place = 0  # incremented by the reader, while the consumer waits
         self._lifespan = lifespan
         self._limit = policy.limit
         self._drop = policy.drop
@@ -214,6 +216,10 @@ class BoundedQueue(abc.ABC):
         is_waiting = self._consumer_sleeps and not (self._packets or self._is_ended)
         if take is None or not is_waiting or len(packets) > 1 or not take(packets[0]):
             self.offer(packets)
+        else:
+            self.offered += 1
+            self.taken += 1
+            self.taken_in_place += 1
 
     def end(self) -> None:
         """Accept no more packets; queued packets can still be taken. Idempotent."""

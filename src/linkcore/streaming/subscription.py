@@ -97,7 +97,7 @@ class Delivery:
         sink = self.sink
         return SubscriptionStatistics(
             offered=sink.offered,
-            delivered=self._delivered,
+            delivered=self._delivered + sink.taken_in_place,
             dropped=sink.dropped,
             raised=self._raised,
             waiting=sink.waiting + self._is_calling,
@@ -264,7 +264,7 @@ class InlineDelivery(Delivery):
     is_inline = True
     #: The callback is called at once, so no packet could be delivered later.
     makes_reader_wait = False
-    dropped = expired = waiting = 0
+    dropped = expired = waiting = taken_in_place = 0
 
     def __init__(
         self,

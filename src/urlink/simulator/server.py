@@ -304,7 +304,6 @@ class Server:
             self._emit(state.cycle)
             return False
         self.counters.sent += 1
-        self._settle()
         return True
 
     def _when_others_are_due(self) -> int:

@@ -177,11 +177,11 @@ def test_steady_packets_are_processed_in_place_of_a_waiting_consumer() -> None:
     queue.offer_steady([4, 5])  # with `latest`, only the newest one stays
     until(lambda: taken == [1, 3, 5])
     assert seen == [2, 3]
-    assert (queue.offered, queue.taken, queue.dropped) == (4, 3, 1)
+    assert (queue.offered, queue.taken, queue.dropped) == (5, 4, 1)
     queue.close()
     thread.join(10)
     queue.offer_steady([6])
-    assert [seen, queue.offered] == [[2, 3], 4]
+    assert [seen, queue.offered, queue.taken_in_place] == [[2, 3], 5, 1]
 
 
 def test_block_policy_waits_for_room_and_drops_nothing() -> None:

@@ -189,7 +189,7 @@ class RealtimeProtocol:
         The bytes are needed until the size of the packets is known, and while the frame boundary is lost.
         """
         boundary, layout = self._boundary, packet.layout
-        if len(packet) != boundary.size or layout.decode is not self.decode or not self.framer.is_between_packets:
+        if layout.size != boundary.size or layout.decode is not self.decode or not self.framer.is_between_packets:
             return None
         boundary.last = packet.head
         state: RealtimeState = packet.state(stamp)
