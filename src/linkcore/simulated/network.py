@@ -222,8 +222,7 @@ class End:
         is_open: Whether the end is neither closed nor broken.
         linger: SO_LINGER, in s; None if it is off.
         user_timeout: Time without an acknowledgement after which the connection is aborted, in s; 0 for no limit.
-        connecting_to: Target computer during the handshake.
-        refuse: Function that ends the handshake with a refusal, as after a reset.
+        handshake: Attempt to connect, while it lasts.
     """
 
     def __init__(self, network: Network, computer: Computer, port: int) -> None:
@@ -233,8 +232,7 @@ class End:
         self.address = computer.address
         self.peer: End | None = None
         self.peer_name: tuple[str, int] = ("", 0)
-        self.connecting_to: Computer | None = None
-        self.refuse: Callable[[], object] = lambda: None
+        self.handshake: _Handshake | None = None
         self.owner: Watcher | None = None
         self.received = ReceiveBuffer()
         self.error = 0
@@ -255,7 +253,7 @@ class End:
         self._oldest = 0.0
         self._retransmit = _RETRANSMIT[0]
         self._is_retransmitting = False
-        self._check = Check(self._look, lambda: self.is_open and self.unacknowledged > 0)
+        self._is_forgotten = False
         computer.ends[self] = None
 
     # -- the program's side ------------------------------------------------------------------------------
@@ -396,7 +394,8 @@ class End:
 
     def _arrive(self, segment: tuple[int, bytes | Deferred]) -> None:
         peer = self.peer
-        assert peer is not None
+        if peer is None:
+            return  # both ends were closed
         if not self.network.carries(self.computer, peer.computer) or not peer.computer.is_on:
             return  # lost: sent again later
         number, data = segment
@@ -463,11 +462,17 @@ class End:
         pause = self._retransmit
         if self.user_timeout:
             pause = min(pause, self._oldest + self.user_timeout - scheduler.now)
-        scheduler.call_at(scheduler.now + max(pause, _LEAST), self._check)
+        # An attribute with the check would be part of a reference cycle, and simulated time runs without the garbage
+        # collector.
+        check = Check(self._look, self._needs_look)
+        scheduler.call_at(scheduler.now + max(pause, _LEAST), check)
+
+    def _needs_look(self) -> bool:
+        return self.is_open and self.unacknowledged > 0
 
     def _look(self) -> None:
         self._is_retransmitting = False
-        if not self.is_open or not self.unacknowledged:
+        if not self._needs_look():
             return
         waited = self.network.scheduler.now - self._oldest
         if self.user_timeout and waited >= self.user_timeout:
@@ -500,6 +505,10 @@ class End:
 
     def _forget(self) -> None:
         self.computer.ends.pop(self, None)
+        self._is_forgotten, self.handshake = True, None
+        peer = self.peer
+        if peer is not None and peer._is_forgotten:
+            self.peer = peer.peer = None  # breaks a reference cycle
 
     def _changed(self) -> None:
         if self.owner is not None:
@@ -567,8 +576,8 @@ class Network:
         """
         for source, target in ((one, other), (other, one)):
             for end in list(source.ends):
-                if end.connecting_to is target:
-                    end.refuse()
+                if end.handshake is not None and end.handshake.target is target:
+                    end.handshake.refuse()
                 elif end.is_open and end.peer is not None and end.peer.computer is target:
                     end._break(errno.ECONNRESET)
 
@@ -578,60 +587,92 @@ class Network:
         If `end` is closed before that, `finished` is not called.
         """
         target = self.find(host, end.computer)
-        scheduler = self.scheduler
-        source = end.computer
         if target is None:
             finished(errno.EHOSTUNREACH)
             return
-        if target is source:
+        if target is end.computer:
             end.address = "127.0.0.1" if not host or host in ("localhost", "0.0.0.0") else host
-        begun = scheduler.now
+        end.handshake = _Handshake(self, end, target, port, finished)
+        end.handshake.ask()
 
-        def ended(outcome: int) -> None:
-            end.connecting_to, end.refuse = None, lambda: None
-            finished(outcome)
 
-        def ask(pause: float) -> None:
-            if not end.is_open or end.is_connected:
-                return
-            if scheduler.now - begun >= _CONNECT:
-                ended(errno.ETIMEDOUT)
-                return
-            scheduler.call_at(scheduler.now + self.route(source, target).latency, arrive)
-            scheduler.call_at(scheduler.now + pause, lambda: ask(2 * pause))
+class _Handshake:
+    """Attempt to connect one end to a port of a computer.
 
-        def answer(what: Callable[[], object]) -> None:
-            if self.carries(target, source):
-                scheduler.call_at(scheduler.now + self.route(target, source).latency, what)
+    Args:
+        network: Network.
+        end: End of the connection at the computer that connects.
+        target: Computer to connect to.
+        port: Port to connect to.
+        finished: Function that is called with 0 or an error number.
 
-        def arrive() -> None:
-            if not end.is_open or end.is_connected or not self.carries(source, target) or not target.is_on:
-                return
-            listener = target.listeners.get(port)
-            if listener is None:
-                answer(refused)
-            elif end.peer is None and len(listener.accepted) <= listener.backlog:
-                peer = End(self, target, port)
-                peer.address = end.address if target is source else target.address
-                peer.peer, end.peer = end, peer
-                peer.peer_name = (end.address, end.port)
-                peer.is_connected = True
-                listener.accepted.append(peer)
-                listener.owner.changed()
-                answer(connected)
-            elif end.peer is not None:
-                answer(connected)
+    Attributes:
+        target: See the argument.
+    """
 
-        def refused() -> None:
-            if end.is_open and not end.is_connected:
-                ended(errno.ECONNREFUSED)
+    def __init__(
+        self, network: Network, end: End, target: Computer, port: int, finished: Callable[[int], object]
+    ) -> None:
+        self.target = target
+        self._network = network
+        self._scheduler = network.scheduler
+        self._end = end
+        self._port = port
+        self._finished = finished
+        self._begun = self._scheduler.now
+        self._pause = 1.0
 
-        def connected() -> None:
-            if not end.is_open and end.peer is not None:
-                end._send_reset(end.peer)  # closed in the meantime
-            elif not end.is_connected and self.carries(target, source):
-                end.is_connected = True
-                ended(0)
+    def ask(self) -> None:
+        """Send a request, and send it again until there is an answer."""
+        end, scheduler = self._end, self._scheduler
+        if not end.is_open or end.is_connected:
+            return
+        if scheduler.now - self._begun >= _CONNECT:
+            self._over(errno.ETIMEDOUT)
+            return
+        route = self._network.route(end.computer, self.target)
+        scheduler.call_at(scheduler.now + route.latency, self._arrive)
+        scheduler.call_at(scheduler.now + self._pause, self.ask)
+        self._pause *= 2
 
-        end.connecting_to, end.refuse = target, refused
-        ask(1.0)
+    def refuse(self) -> None:
+        """End the attempt with a refusal, as after a reset."""
+        if self._end.is_open and not self._end.is_connected:
+            self._over(errno.ECONNREFUSED)
+
+    def _over(self, outcome: int) -> None:
+        self._end.handshake = None
+        self._finished(outcome)
+
+    def _arrive(self) -> None:
+        """Process the request at the target."""
+        network, end, target = self._network, self._end, self.target
+        if not end.is_open or end.is_connected or not network.carries(end.computer, target) or not target.is_on:
+            return
+        listener = target.listeners.get(self._port)
+        if listener is None:
+            self._answer(self.refuse)
+        elif end.peer is None and len(listener.accepted) <= listener.backlog:
+            peer = End(network, target, self._port)
+            peer.address = end.address if target is end.computer else target.address
+            peer.peer, end.peer = end, peer
+            peer.peer_name = (end.address, end.port)
+            peer.is_connected = True
+            listener.accepted.append(peer)
+            listener.owner.changed()
+            self._answer(self._connected)
+        elif end.peer is not None:
+            self._answer(self._connected)
+
+    def _answer(self, what: Callable[[], object]) -> None:
+        back, scheduler = (self.target, self._end.computer), self._scheduler
+        if self._network.carries(*back):
+            scheduler.call_at(scheduler.now + self._network.route(*back).latency, what)
+
+    def _connected(self) -> None:
+        end = self._end
+        if not end.is_open and end.peer is not None:
+            end._send_reset(end.peer)  # closed in the meantime
+        elif not end.is_connected and self._network.carries(self.target, end.computer):
+            end.is_connected = True
+            self._over(0)

@@ -380,9 +380,14 @@ class Socket(Pollable):
             return
         self._sockets.forget(number)
         self._close_listener()
-        if self._end is not None:
-            self._end.close()
+        end = self._end
+        if end is not None:
+            end.close()
         self.changed()
+        # These references would be parts of reference cycles, and simulated time runs without the garbage collector.
+        self.takes_batches, self.take_in_place = _never, _takes_nothing
+        if end is not None and end.owner is self:
+            end.owner = None
 
     def _close_listener(self) -> None:
         listener, self._listener = self._listener, None
@@ -600,6 +605,44 @@ class Poll:
         return list(self._sockets.wait(self._wanted, seconds).items())
 
 
+class _Calls:
+    """Calls in place of a task that selects; see `Selector.select_or_call`.
+
+    Args:
+        scheduler: Scheduler.
+        call: Function to call. It returns the seconds until the next call; None if the task must continue.
+
+    Attributes:
+        is_over: Whether there are no more calls.
+    """
+
+    def __init__(self, scheduler: Scheduler, call: Callable[[], float | None]) -> None:
+        self._scheduler = scheduler
+        self._task = scheduler.running
+        self._call = call
+        self.is_over = False
+
+    def schedule(self, seconds: float) -> None:
+        """Make the next call after this time."""
+        scheduler = self._scheduler
+        scheduler.call_at(scheduler.now + seconds / self._task.computer.rate, self._make)
+
+    def _make(self) -> None:
+        if self.is_over:
+            return
+        scheduler, task, again = self._scheduler, self._task, None
+        if task.computer.is_running and scheduler.is_idle:
+            try:
+                again = scheduler.stand_in(task, self._call)
+            except Exception as error:
+                task.error = error
+        if again is None:
+            self.is_over = True
+            scheduler.make_ready(task)
+        else:
+            self.schedule(again)
+
+
 class Selector(Pollable, selectors._BaseSelectorImpl):
     """Replacement for `selectors.DefaultSelector`. Its deadlines have the resolution of the clock.
 
@@ -683,30 +726,12 @@ class Selector(Pollable, selectors._BaseSelectorImpl):
                 `select_or_call` returns.
         """
         scheduler = self._sockets.scheduler
-        task = scheduler.running
-        is_waiting = True
-
-        def call_now() -> None:
-            nonlocal is_waiting
-            if not is_waiting:
-                return
-            again = None
-            if task.computer.is_running and scheduler.is_idle:
-                try:
-                    again = scheduler.stand_in(task, call)
-                except Exception as error:
-                    task.error = error
-            if again is None:
-                is_waiting = False
-                scheduler.make_ready(task)
-            else:
-                scheduler.call_at(scheduler.now + again / task.computer.rate, call_now)
-
         scheduler.step()
-        scheduler.call_at(scheduler.now + seconds / task.computer.rate, call_now)
-        while not (found := self._ready()) and is_waiting:
+        calls = _Calls(scheduler, call)
+        calls.schedule(seconds)
+        while not (found := self._ready()) and not calls.is_over:
             self.wait_for(_IN, None)
-        is_waiting = False
+        calls.is_over = True
         return self._keys(found)
 
     def _keys(self, found: list[tuple[int, int]]) -> list[tuple[selectors.SelectorKey, int]]:

@@ -100,6 +100,7 @@ class _Client(Handler):
     def connection_lost(self, reason: str, *, by_peer: bool) -> None:
         self.receiver.end()
         self._server.forget(self)
+        del self.receiver  # it refers to this client
 
 
 class Server:

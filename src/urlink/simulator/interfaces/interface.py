@@ -245,10 +245,13 @@ class LineReceiver(InterfaceReceiver):
             self._line.clear()
             self._is_too_long = False
             if text is not None:
-                self._on_line(text)
+                self._take(text)
             if not self._client.is_open:
                 return
         self._extend(rest)
+
+    def _take(self, line: str) -> None:
+        self._on_line(line)
 
     def _extend(self, part: bytes) -> None:
         if self._is_too_long or len(self._line) + len(part) > LONGEST_LINE:
@@ -277,13 +280,12 @@ class ScriptReceiver(LineReceiver):
         on_line: Callable[[str], object],
         on_program: Callable[[str], bool],
     ) -> None:
-        super().__init__(client, counters, self._take)
+        super().__init__(client, counters, on_line)
         self._assembler = LineAssembler()
-        self._note = on_line
         self._on_program = on_program
 
     def _take(self, line: str) -> None:
-        self._note(line)
+        super()._take(line)
         refused = self._assembler.refused
         program = self._assembler.feed(line)
         self._counters.refused_bytes += self._assembler.refused - refused

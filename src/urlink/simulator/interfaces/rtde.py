@@ -217,16 +217,6 @@ class RtdeSession(InterfaceReceiver):
         self._due = 0  # cycle of the next data package
         self._unread_since: int | None = None
         self._late: deque[tuple[int, bytes]] = deque()
-        self._answers: dict[type[State], Callable[[Any], bytes | None]] = {
-            ProtocolRequest: self._protocol,
-            ControllerVersionRequest: self._version,
-            OutputsRequest: self._set_up_outputs,
-            InputsRequest: self._set_up_inputs,
-            StartRequest: self._start,
-            PauseRequest: self._pause,
-            RtdeMessage: self._listen,
-            DataPackage: self._write,
-        }
 
     # -- input ---------------------------------------------------------------------------------------
 
@@ -265,7 +255,7 @@ class RtdeSession(InterfaceReceiver):
         except PacketError as error:
             self._ignore(str(error))
             return
-        reply = self._answers[type(request)](request)
+        reply = _ANSWERS[type(request)](self, request)
         if reply is None:
             return
         before = self._interface.disturbance.text_before.get(kind)
@@ -449,3 +439,16 @@ def _packed(kind: type[State], protocol: Protocol, values: Mapping[str, Any]) ->
     layout = kind.LAYOUTS.of((protocol, 0))
     layout.check_complete(values)
     return layout.encode(values)
+
+
+#: Kind of request -> method that returns the reply; None for no reply.
+_ANSWERS: dict[type[State], Callable[[RtdeSession, Any], bytes | None]] = {
+    ProtocolRequest: RtdeSession._protocol,
+    ControllerVersionRequest: RtdeSession._version,
+    OutputsRequest: RtdeSession._set_up_outputs,
+    InputsRequest: RtdeSession._set_up_inputs,
+    StartRequest: RtdeSession._start,
+    PauseRequest: RtdeSession._pause,
+    RtdeMessage: RtdeSession._listen,
+    DataPackage: RtdeSession._write,
+}

@@ -194,6 +194,7 @@ class ScriptThread:
             self._stack.clear()
             self._frame = []
             self.machine.forget(self)
+            del self.machine  # breaks a reference cycle
 
     def run(self) -> None:
         """Run until the thread waits or ends.
@@ -337,6 +338,7 @@ class Machine:
             thread.end()
         self._threads = []
         self._globals.clear()
+        self.statements.aborts = lambda: None  # breaks a reference cycle
 
     def forget(self, thread: ScriptThread) -> None:
         """Process the end of a thread. If this thread commanded the arm, the arm brakes."""

@@ -1,0 +1,86 @@
+"""Simulated time runs without the garbage collector, so commands must leave no reference cycles in the simulator."""
+
+from __future__ import annotations
+
+import collections
+import contextlib
+import gc
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+import urlink
+from linkcore.errors import Cancelled
+
+HOME, AWAY = [0.0, -1.6, 1.6, -1.6, -1.6, 0.0], [0.1, -1.5, 1.5, -1.6, -1.6, 0.1]
+
+
+@contextlib.contextmanager
+def no_garbage() -> Iterator[None]:
+    """Fail if the block leaves objects that only the garbage collector can free, and name their types."""
+    gc.collect()
+    gc.set_debug(gc.DEBUG_SAVEALL)
+    try:
+        yield
+        found = gc.collect()
+        kinds = collections.Counter(type(each).__qualname__ for each in gc.garbage)
+    finally:
+        gc.set_debug(0)
+        gc.garbage.clear()
+    assert not found, f"{found} objects in cycles: {kinds.most_common(12)}"
+
+
+def move(robot: urlink.Robot) -> None:
+    for q in (AWAY, HOME):
+        robot.motion.move_joints(q).wait()
+
+
+def set_output(robot: urlink.Robot) -> None:
+    robot.io.set_digital_out(0, True)
+    time.sleep(2.0)  # so that the connection for settings is closed
+
+
+def cancel(robot: urlink.Robot) -> None:
+    handle = robot.motion.move_joints(AWAY, speed=0.2)
+    robot.realtime.wait_until(lambda state: bool(state.qd_target.any()))
+    handle.cancel()
+    with pytest.raises(Cancelled):
+        handle.wait()
+    robot.realtime.wait_until(lambda state: not state.qd_target.any())
+
+
+def servo(robot: urlink.Robot) -> None:
+    with robot.motion.servo() as block:
+        q = robot.realtime.wait(1.0).q_target
+        for _ in range(20):
+            robot.realtime.wait(1.0)
+            block.send(q)
+
+
+def read_variables(robot: urlink.Robot) -> None:
+    with robot.rtde.outputs("actual_q") as outputs:
+        outputs.wait(1.0)
+
+
+def reconnect(robot: urlink.Robot) -> None:
+    robot.realtime._connection.abort()
+    time.sleep(2.0)
+    robot.realtime.wait(1.0)
+
+
+def secondary(robot: urlink.Robot) -> None:
+    robot.script.run("sec on():\n  set_digital_out(1, True)\nend", wait=True)
+
+
+@pytest.mark.parametrize("command", [move, set_output, cancel, servo, read_variables, reconnect, secondary])
+@pytest.mark.parametrize("firmware", ["3.15", "5.11"])
+def test_command_leaves_no_garbage_in_simulated_time(command: Callable[[urlink.Robot], None], firmware: str) -> None:
+    with urlink.simulated_time(0), urlink.connect(f"sim://?firmware={firmware}") as robot:
+        robot.realtime.wait(1.0)
+        for _ in range(2):
+            command(robot)
+        time.sleep(2.0)
+        with no_garbage():
+            command(robot)
+            time.sleep(2.0)
