@@ -227,7 +227,7 @@ def interrupted(robots: Sequence[Robot], kind: str, after: float) -> str:
         pass
     for robot in robots:
         try:
-            robot.realtime.wait_until(_rests, timeout=_BRAKES)
+            _wait_for_lasting_rest(robot)
         except urlink.LinkTimeout:
             return f"the arm still moved after {_BRAKES:g} s"
         current = robot.motion.current
@@ -283,6 +283,22 @@ else:
 
 def _rests(state: Any) -> bool:
     return bool(np.abs(state.qd_target).max() < _RESTS)
+
+
+def _wait_for_lasting_rest(robot: Robot) -> None:
+    """Wait until an arm has been at rest for `_STAYS` on the clock of its controller.
+
+    On a busy computer, the newest state can be older than the permission of the program, which the controller reads
+    before the stop. The arm may move between the two.
+    """
+    since: float | None = None
+
+    def has_rested(state: Any) -> bool:
+        nonlocal since
+        since = None if not _rests(state) else state.time if since is None else since
+        return since is not None and state.time - since >= _STAYS
+
+    robot.realtime.wait_until(has_rested, timeout=_BRAKES)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
