@@ -15,7 +15,9 @@ import urlink
 from tests.cancelling import Sent, Trial, run_cancelled, sends, turns
 from tests.waiting import until
 from urlink import Circular, Joint, Linear
+from urlink.protocol.rtde.packets import InputsRequest
 from urlink.simulator import Controller, Still
+from urlink.simulator.interfaces import rtde
 from urlink.simulator.interfaces.rtde import RtdeSession
 
 pytestmark = pytest.mark.simulated_time
@@ -317,7 +319,7 @@ def test_cancelled_claim_of_inputs_leaves_no_task(controller: Controller, monkey
             def unanswered(session: RtdeSession, request: object) -> None:
                 loop.call_soon_threadsafe(asked.set)
 
-            monkeypatch.setattr(RtdeSession, "_set_up_inputs", unanswered)
+            monkeypatch.setitem(rtde._ANSWERS, InputsRequest, unanswered)
             async with robot.motion.servo(link="rtde"):
                 raise AssertionError("the claim must not be answered")
 
