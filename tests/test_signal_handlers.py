@@ -21,6 +21,7 @@ from linkcore.errors import Cancelled, Closed, LinkError, LinkTimeout
 from linkcore.handle import Handle, Lifecycle, Phase
 from linkcore.net.undo import PendingUndos
 from linkcore.recording.file import Kind, RecordingFile, RecordingWriter
+from linkcore.streaming.connection_life import Backoff, ConnectionLife, LifeEvent
 from linkcore.streaming.packet_queue import drop_oldest
 from linkcore.streaming.scheduling import urgent
 from linkcore.streaming.stream import Stream
@@ -129,6 +130,16 @@ def test_locks_used_by_signal_handlers_are_reentrant() -> None:
 # -- handlers at every line ----------------------------------------------------------------------------
 
 pytestmark = pytest.mark.real_time
+
+
+def test_use_of_a_connection_can_be_interrupted_by_a_close() -> None:
+    def scenario(interruption: Interruption) -> None:
+        life = ConnectionLife("script", Backoff())
+        with interruption.by(lambda: life.fire(LifeEvent.CLOSE)):
+            is_used = life.use(is_patient=False, received=0)
+        assert life.is_closed if interruption.where is not None else is_used
+
+    assert at_every_line(scenario) > 5
 
 
 def test_urgent_can_be_entered_by_a_signal_handler() -> None:

@@ -146,11 +146,11 @@ class Connection:
             # A reader that ends closes its subscriptions. A new subscription belongs to the next reader.
             if self._life.is_ending:
                 clock.wait(partial(self._changed.wait_for, lambda: not self._life.is_ending), self._timeout)
-            if self._life.is_closed:
-                raise Closed(f"{self.name} was closed")
             if add is not None:
                 add()
             self._begin(is_patient=False)
+            if self._life.is_closed:
+                raise Closed(f"{self.name} was closed")
             attempt = self._life.attempt
             if not attempt.is_settled and not clock.wait(
                 partial(self._changed.wait_for, lambda: attempt.is_settled), self._timeout + 1.0
@@ -175,9 +175,8 @@ class Connection:
 
     def _begin(self, is_patient: bool) -> None:
         """Start the reader if none runs. The caller holds the lock."""
-        if self._life.phase is not ConnectionPhase.IDLE:
+        if not self._life.use(is_patient, self.counters.received):
             return
-        self._life.use(is_patient, self.counters.received)
         try:
             self._launch()
         except LocalError:

@@ -226,6 +226,7 @@ class ConnectionLife:
         self.failure: Exception | None = None
         self.error: Exception | None = None
         self._name = name
+        self._events = 0  # number of recorded events
         self._backoff = backoff
         self._waits = backoff.waits()
         self._received = 0  # number of packets before the current try
@@ -251,24 +252,38 @@ class ConnectionLife:
         Raises:
             RuntimeError: If the event cannot happen in this phase.
         """
-        after = TRANSITIONS.get((self.phase, event))
-        if after is None:
+        effect = self._record(event)
+        if effect is None:
             raise RuntimeError(f"{self._name}: {event.value!r} cannot happen while it is {self.phase.value}")
-        self.phase, news = after
-        return news
+        return effect[1]
 
-    def use(self, is_patient: bool, received: int) -> None:
-        """Start the life of a new reader.
+    def _record(self, event: LifeEvent) -> _Effect | None:
+        """Record an event, and return its effect; None if the event cannot happen in this phase."""
+        is_recorded = False
+        while not is_recorded:
+            events = self._events
+            effect = TRANSITIONS.get((self.phase, event))
+            if effect is None:
+                return None
+            # A signal handler might have recorded an event between these lines. Then this event follows it.
+            new = (effect[0], events + 1, True)
+            self.phase, self._events, is_recorded = new if self._events == events else (self.phase, self._events, False)
+        return effect
+
+    def use(self, is_patient: bool, received: int) -> bool:
+        """Start the life of a new reader. Return False if there is a reader, or if the connection was closed.
 
         Args:
             is_patient: Whether no caller waits for its first connection. See `Attempt`.
             received: Number of packets received so far.
         """
-        self.fire(LifeEvent.USE)
+        if self._record(LifeEvent.USE) is None:
+            return False
         self.failure = self.error = None
         self.attempt = Attempt(is_patient)
         self._waits = self._backoff.waits()
         self._received = received
+        return True
 
     def end(self, failure: Exception | None) -> ConnectionState | None:
         """Record that the reader ends; return the state that subscribers must get, or None.
