@@ -19,6 +19,7 @@ from types import FrameType
 from typing import Any
 
 import linkcore
+from linkcore.simulated.scheduler import installed
 
 #: Folder that the packages are imported from: src, or the folder of the installed packages.
 SRC = str(Path(linkcore.__file__).parents[1])
@@ -57,6 +58,9 @@ class Interruption:
             sys.settrace(before)
 
     def _trace(self, frame: FrameType, event: str, argument: object) -> Any:
+        scheduler = installed[0]
+        if scheduler is not None and not scheduler.is_between_lines:
+            return None  # this thread does the work of another thread, in which no handler can be called
         file = frame.f_code.co_filename
         # Lines of `threading` count as well, because this library uses its locks. Lines that start a thread do not
         # count, because they wait for the new thread.
