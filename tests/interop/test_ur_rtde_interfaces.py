@@ -495,11 +495,13 @@ def test_arm_can_be_pushed_in_teach_mode_and_freedrive(controller: Controller, c
 @pytest.mark.parametrize("controller", ["10.12"], indirect=True)
 def test_direct_torque_moves_the_joint(controller: Controller, control: Interface) -> None:
     """The script has this call since 5.26, and 10.x counts as later. It never compensates for friction."""
-    torque, joint = 6.0, 5
+    speed, joint = 0.6, 5
+    motors = controller.arm.motors
+    # At this speed, the torque equals the friction.
+    torque = float(motors.friction_torque([0.0] * joint + [speed])[0][joint])
     for _ in range(20):  # the script repeats the last torque until another command arrives
         assert control.directTorque([0, 0, 0, 0, 0, torque], [0.9] * 6, [0.8] * 6)
-    # The friction is 3 Nm, plus 5 Nms times the speed.
-    until(lambda: controller.arm.setpoint.qd[joint] == pytest.approx((torque - 3.0) / 5.0, rel=0.01))
+    until(lambda: controller.arm.setpoint.qd[joint] == pytest.approx(speed, rel=0.01))
     assert near(controller.arm.setpoint.qd[:joint], [0.0] * joint, 0.05)
     control.stopJ(4.0)
     until(lambda: not controller.arm.is_moving)
