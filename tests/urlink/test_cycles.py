@@ -8,7 +8,6 @@ makes ten thousand calls of each method.
 
 from __future__ import annotations
 
-import collections
 import contextlib
 import gc
 import itertools
@@ -24,6 +23,7 @@ import urlink
 from linkcore.errors import ConnectionLost, LinkError
 from linkcore.handle import Handle
 from tests import platforms
+from tests.garbage import no_garbage
 from tests.spawning import spawning
 from tests.waiting import until
 from urlink.command.interpreter import Interpreter
@@ -379,19 +379,13 @@ LAST = {"shutdown", "quit", "close", "start"}
 
 @contextlib.contextmanager
 def collector_off() -> Iterator[None]:
-    """Collect no garbage within the block, and fail after it if the collector finds objects. Name their types."""
-    gc.collect()
+    """Switch the garbage collector off within the block, and check that the block leaves no garbage."""
     gc.disable()
     try:
-        yield
-        gc.set_debug(gc.DEBUG_SAVEALL)
-        found = gc.collect()
-        kinds = collections.Counter(type(each).__qualname__ for each in gc.garbage)
+        with no_garbage():
+            yield
     finally:
-        gc.set_debug(0)
-        gc.garbage.clear()
         gc.enable()
-    assert not found, f"{found} objects in cycles: {kinds.most_common(12)}"
 
 
 def test_message_of_an_older_layout_leaves_no_reference_cycle() -> None:

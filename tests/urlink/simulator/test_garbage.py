@@ -2,33 +2,16 @@
 
 from __future__ import annotations
 
-import collections
-import contextlib
-import gc
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import pytest
 
 import urlink
 from linkcore.errors import Cancelled
+from tests.garbage import no_garbage
 
 HOME, AWAY = [0.0, -1.6, 1.6, -1.6, -1.6, 0.0], [0.1, -1.5, 1.5, -1.6, -1.6, 0.1]
-
-
-@contextlib.contextmanager
-def no_garbage() -> Iterator[None]:
-    """Fail if the block leaves objects that only the garbage collector can free, and name their types."""
-    gc.collect()
-    gc.set_debug(gc.DEBUG_SAVEALL)
-    try:
-        yield
-        found = gc.collect()
-        kinds = collections.Counter(type(each).__qualname__ for each in gc.garbage)
-    finally:
-        gc.set_debug(0)
-        gc.garbage.clear()
-    assert not found, f"{found} objects in cycles: {kinds.most_common(12)}"
 
 
 def move(robot: urlink.Robot) -> None:
