@@ -212,7 +212,7 @@ def test_subscribing_can_be_interrupted_by_a_signal(handler: str, inline: bool) 
                 expected |= {"handler"}
             if interruption.where is None or handler == "subscribe":
                 expected |= {"other"}
-            until(lambda: {name for name, packets in got.items() if packets} == expected)
+            until(lambda: {name for name, packets in got.items() if packets} == expected, 5.0)
             assert len(connection.fan_out.deliveries) == len(expected)
 
     assert at_every_line(scenario) > 50
@@ -241,7 +241,7 @@ def test_handle_wait_can_be_interrupted_by_a_signal(handler: str) -> None:
             ends = {"cancel": Phase.CANCELLED, "finish": Phase.DONE, "callback": Phase.SENT}
             assert handle.phase is ends[handler]
         handle.cancel()
-        until(lambda: called or handler != "callback" or interruption.where is None)
+        until(lambda: called or handler != "callback" or interruption.where is None, 5.0)
 
     try:
         assert at_every_line(scenario) > 15
@@ -405,7 +405,7 @@ def test_drive_can_be_stopped_by_a_signal_handler(handler: str) -> None:
             with contextlib.suppress(Closed), interruption.by(act, within="_begin"):
                 drive.forward(1000.0)
             if interruption.where is not None and handler == "stop":
-                until(lambda: turtle.cmdtransvel == turtle.cmdrotvel == 0)
+                until(lambda: turtle.cmdtransvel == turtle.cmdrotvel == 0, 5.0)
 
     # The first lines number the request; a stop in these lines would be older than the request.
     assert at_every_line(scenario, first=3) > 20
