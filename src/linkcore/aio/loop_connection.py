@@ -111,12 +111,12 @@ class LoopConnection(Connection):
             RemoteError: If the connection cannot be made; the next use tries again.
             Closed: If the connection was closed.
         """
-        if self._life.is_closed:
-            raise Closed(f"{self.name} was closed")
         if add is not None:
             add()
         with self._changed:
             self._begin(is_patient=False)
+            if self._life.is_closed:
+                raise Closed(f"{self.name} was closed")
             attempt, settled = self._life.attempt, self._settled
         if not attempt.is_settled and not await within(self._timeout + 1.0, settled):
             raise self.error or LinkTimeout(f"{self.name}: no connection within {self._timeout:g} s")

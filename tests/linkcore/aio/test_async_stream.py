@@ -323,6 +323,15 @@ async def test_close_ends_iteration_and_pending_connects() -> None:
 
 
 @awaited
+async def test_close_during_the_start_of_a_stream_raises_closed() -> None:
+    """A signal handler might close the stream before the start is recorded."""
+    loop = asyncio.get_running_loop()
+    connection = LoopConnection("never", AwaitedTcp("::1", 1, silence=1), CountProtocol, FanOut(Count), loop=loop)
+    with pytest.raises(Closed, match="never was closed"):
+        await connection.connected(connection.abandon)
+
+
+@awaited
 async def test_blocking_calls_raise_only_in_the_event_loop_thread() -> None:
     async with listening() as peer, stream_of(connection := connection_to(peer)) as stream:
         threaded = stream.stream

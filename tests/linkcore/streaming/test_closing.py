@@ -8,7 +8,7 @@ from queue import SimpleQueue
 
 import pytest
 
-from linkcore.errors import BadValue, ConnectionLost, LinkTimeout
+from linkcore.errors import BadValue, Closed, ConnectionLost, LinkTimeout
 from linkcore.streaming import packet_queue
 from linkcore.streaming.connection import Connection
 from linkcore.streaming.connection_life import Backoff, ConnectionEvent, ConnectionState
@@ -74,6 +74,13 @@ def test_close_ends_a_stream_that_waits_to_reconnect() -> None:
     stream.close()
     assert stream.join(1.0)
     assert (connection.state, connection.is_running) == (ConnectionState.CLOSED, False)
+
+
+def test_close_during_the_start_of_a_stream_raises_closed() -> None:
+    """A signal handler might close the stream before the start is recorded."""
+    connection = Connection("script", ScriptedTransport(), CountProtocol, FanOut(Count), timeout=0.1)
+    with pytest.raises(Closed, match="script was closed"):
+        connection.start(connection.abandon)
 
 
 def test_start_times_out_when_the_transport_hangs() -> None:
