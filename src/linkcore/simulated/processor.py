@@ -1,10 +1,10 @@
-"""Processor on which the threads of a simulation wake up.
+"""Processor of a simulation, to which its waiting threads are restricted.
 
-Only one thread of a simulation runs at a time. If a thread wakes up on another processor than the previous thread ran
-on, the change takes several times as long: the other processor is often asleep, and its caches do not hold the data of
-the simulation. So a thread that waits may only wake up on the processor of the simulation. While a thread runs, it may
-use all processors. Therefore processes and native threads that it starts are not restricted, and the system can still
-move the simulation away from a busy processor.
+Only one thread of a simulation runs at a time. If the next thread wakes up on a different processor, the change takes
+several times as long: the processor is often asleep, and its caches do not hold the data of the simulation. So a
+waiting thread may only wake up on the processor of the simulation. While a thread runs, it may use all processors.
+Therefore processes and native threads that it starts are not restricted, and the system can still move the simulation
+away from a busy processor.
 
 Only Linux offers this. On other systems, these functions do nothing.
 """
@@ -71,7 +71,7 @@ class Processor:
 
 
 def _current() -> set[int]:
-    """Return the processor on which the current thread runs; an empty set if it is unknown."""
+    """Return the processor of the current thread; an empty set if it is unknown."""
     try:
         with open("/proc/thread-self/stat", "rb") as file:
             return {int(file.read().rpartition(b")")[2].split()[_FIELD])}

@@ -236,7 +236,7 @@ class FanOut:
             group = kind
         elif kind is not self._kind or self._parts is not None:
             offer = self._filtered(kind, sink)
-            if not sink.is_inline:
+            if not sink.is_inline:  # an inline callback needs no steady packets, and an unread one has no class yet
                 offer_steady = offer
         with self._lock:
             self._routes[_Route(sink, group, offer, offer_steady)] = None

@@ -6,6 +6,7 @@ import os
 import queue
 import sys
 import threading
+from collections.abc import Iterator
 
 import pytest
 
@@ -21,7 +22,7 @@ needs_two = pytest.mark.skipif(len(ALLOWED) < 2, reason="needs two processors")
 
 
 @pytest.fixture(autouse=True)
-def _all_processors_afterwards() -> object:
+def _all_processors_afterwards() -> Iterator[None]:
     yield
     os.sched_setaffinity(0, ALLOWED)
 

@@ -283,9 +283,9 @@ class LinkedProgram:
         return now
 
     def _look(self, link: Link, sent: float, state: RealtimeState) -> None:
+        now = self._note(state)
         if self._watched is not None and not self.is_finishing:
             self._watched.watch(state.q_actual, state.qd_actual, yields=self._life.name == "force_mode")
-        now = self._note(state)
         lost, braked = self._life.happened(Event.LOSE), self._life.happened(Event.BRAKE)
         if self._life.happened(Event.SETTLE):
             self._dialogue.step(b"", state, now)
